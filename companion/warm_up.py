@@ -17,7 +17,8 @@ import numpy as np
 from companion.domain import ArrayDirection, RangingMeasurement
 from companion.estimation.antenna import LEVEL
 from companion.estimation.measurement_model import AZIMUTH, COSINES
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.planning.planner import Planner, PlanRequest
 
 TARGET_M = (12.0, 9.0)

@@ -21,7 +21,7 @@ from companion.config.search_files import check_search_area
 from companion.config.versions import SCHEMA_VERSION, renew
 from companion.domain import Distance, NonNegative, Params, Positive
 from companion.errors import ConfigError
-from companion.estimation.tracker import EstimationConfig, TrackerParams
+from companion.estimation.tracker_params import EstimationConfig, TrackerParams
 from companion.geometry.geofence import GeoFence
 from companion.geometry.obstacles import check_corners
 from companion.geometry.polygons import Corners, Point

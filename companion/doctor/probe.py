@@ -36,11 +36,11 @@ from companion.guidance.flight.vehicle import mode_name
 from companion.io.links.radio_lines import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound
+from companion.link.autopilot_parameters import hears_transmitter
 from companion.link.autopilot_queries import (
     STREAM_INTERVAL_S,
     StreamFreshness,
     StreamRequester,
-    hears_transmitter,
 )
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
@@ -49,7 +49,8 @@ from companion.link.inbound import origin_of
 from companion.link.intake import Authenticity, FloodBudget
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import RadioStatus, RadioWatch, SequenceMonitor
-from companion.link.radio_stage import RadioSetup, RadioStage
+from companion.link.radio_settings import RadioSetup
+from companion.link.radio_stage import RadioStage
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk, OneShotEndpoint

@@ -56,11 +56,6 @@ class Gate(NamedTuple):
         """True if every measured component agrees with the estimate."""
         return self.agrees_in_range and self.agrees_in_bearing and self.agrees_in_power
 
-    @property
-    def passes_all(self) -> bool:
-        """True if every measured component may be fused."""
-        return self.passes_range and self.passes_bearing and self.passes_power
-
     @classmethod
     def of(cls, report: UpdateReport, inflation: Inflation, antenna: int = AZIMUTH) -> Gate:
         """Return the gate's result for an update; two direction cosines count as one direction."""
@@ -98,7 +93,7 @@ class Gate(NamedTuple):
 
     def passed(self, measurement: RangingMeasurement) -> RangingMeasurement | None:
         """Return the components of a measurement that may be fused; None: none."""
-        if self.passes_all:
+        if self.passes_range and self.passes_bearing and self.passes_power:
             return measurement
         if not self.passes_range:
             measurement = replace(measurement, range_m=None)

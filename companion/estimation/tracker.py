@@ -14,31 +14,23 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 
-import msgspec
-
 from companion.domain import (
     DEFAULT_ACCURACY,
-    Distance,
-    Params,
     PositionAccuracy,
     PositionEnu,
-    Positive,
     RangingMeasurement,
     TargetEstimate,
 )
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
 from companion.estimation.filter_bank import update_hypotheses
-from companion.estimation.filters.kalman import FilterKind, filter_of
+from companion.estimation.filters.kalman import filter_of
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
-    FilterConfig,
-    FilterParams,
     Inflation,
     UpdateReport,
 )
 from companion.estimation.hypotheses import (
     Hypothesis,
-    HypothesisParams,
     consolidated,
     first_hypotheses,
     ranked,
@@ -50,7 +42,6 @@ from companion.estimation.integrity.track_integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
 from companion.estimation.noise.innovations import InnovationNoise, TrackerHealth
 from companion.estimation.screening.measurement_screen import (
-    AcceptanceParams,
     MeasurementScreen,
     Objection,
     RejectReason,
@@ -62,61 +53,11 @@ from companion.estimation.target_estimate import (
     position_covariance_m2,
     r95_of_covariance_m,
 )
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, shared_sigmas
-from companion.estimation.window.window_map import WindowParams
 from companion.search.search_prior import SearchPrior
-
-
-class EstimationConfig(Params, frozen=True):
-    """Estimation of one target as a file configures it; `TrackerParams` completes it."""
-
-    kind: FilterKind = "asymmetric_huber"
-    """The recursive filter; the others are baselines."""
-    filter: FilterConfig = FilterConfig()
-    localised_r95_m: Distance = 2.0
-    """R95 up to which the state is `localised`."""
-
-    def params(self) -> TrackerParams:
-        """Return the parameters of a tracker with this configuration."""
-        return TrackerParams(
-            kind=self.kind, filter=self.filter.params(), localised_r95_m=self.localised_r95_m
-        )
-
-
-class TrackerParams(EstimationConfig, frozen=True):
-    """Parameters of a tracker: those of a file, and those that only studies vary."""
-
-    filter: FilterParams = FilterParams()
-    acceptance: AcceptanceParams = AcceptanceParams()
-    hypotheses: HypothesisParams = HypothesisParams()
-    window: WindowParams = WindowParams()
-    is_range_calibrated: bool = True
-    """False: the radio adds an unknown constant, so no position is `localised`."""
-    initial_inflation: Positive = 4.0
-    """Variance inflation that is assumed until it has been measured."""
-    range_gross_k: Positive | None = 6.0
-    """Ranges shorter than predicted by more than this many sigma have a linear loss even where
-    `filter.range_k_short` is null: noise does not produce them; null: quadratic at any size."""
-    adapt_inflation: bool = True
-    """True: the inflation is measured; false: it stays at 1, as in the paper's filter."""
-
-    def params(self) -> TrackerParams:
-        """Return these parameters."""
-        return self
-
-    @property
-    def with_power(self) -> TrackerParams:
-        """The same parameters for an emitter that gives power alone; itself if configured."""
-        return msgspec.structs.replace(self, filter=self.filter.with_power)
-
-    @property
-    def effective_filter(self) -> FilterParams:
-        """Parameters of the tracker's filter: `filter` with ranges bounded on the short side."""
-        if self.range_gross_k is None or self.filter.range_k_short is not None:
-            return self.filter
-        return msgspec.structs.replace(self.filter, range_k_short=self.range_gross_k)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,15 +124,6 @@ class TargetTracker:
         rows = rows_of(self._filter.params.model)
         self._noise = self._first_noise = InnovationNoise.starting(params.initial_inflation, rows)
 
-    def _prepared(self, measurement: RangingMeasurement) -> RangingMeasurement:
-        """Return the measurement without a power that is neither configured nor alone at first."""
-        if measurement.power_dbm is None or self.params.filter.power_at_1m_dbm is not None:
-            return measurement
-        if self.accepted or not measurement.is_power_alone:
-            return replace(measurement, power_dbm=None)
-        self._set_up(self.params.with_power)
-        return measurement
-
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Counts of measurements, or components of them, that were not fused, by reason."""
@@ -211,14 +143,13 @@ class TargetTracker:
         """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
-        measurement = self._prepared(measurement)
-        sensor_enu_m = self._about_kept_zero(sensor_enu_m)
+        measurement, sensor_enu_m = self._prepared(measurement, sensor_enu_m)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
         if reason is not None or sensor_enu_m is None:
             return self.reject(reason or RejectReason.NO_POSITION)
         self.emitter_id = measurement.emitter_id
         judgement = self._screen.judge(measurement, sensor_enu_m, now_s)
-        if judgement.is_newly_objected and not self.integrity.agreement.is_proven:
+        if judgement.is_newly_objected and not self.integrity.is_proven:
             self._forget_place()  # it was derived from the values that are rejected now
         if judgement.reason is not None:
             self.rejected[judgement.reason] += 1
@@ -229,8 +160,10 @@ class TargetTracker:
             return report
         self.accepted += 1
         self.last_accepted_s = now_s
-        self._rate_own(own)
-        if self.hypotheses and self._optimizer.is_due(self.accepted):
+        self.own = own if self.own in (None, own) else self.own.or_worse(own)
+        if own is not None and own.is_reported:
+            self._best_own_m = min(self._best_own_m, own.horizontal_m)
+        if self.hypotheses and self.accepted >= self._optimizer.due_at:
             yield 0
             yield from while_same(self.optimize.steps(), lambda: self._moves)
         at_s = measurement.measured_at_s
@@ -241,15 +174,21 @@ class TargetTracker:
             yield from while_same(look, lambda: self._moves)
         return report
 
-    def _about_kept_zero(self, sensor_enu_m: PositionEnu | None) -> PositionEnu | None:
-        if sensor_enu_m is None or self.raised_m == 0.0:
-            return sensor_enu_m
-        return (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
+    def _prepared(
+        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None
+    ) -> tuple[RangingMeasurement, PositionEnu | None]:
+        """Return the measurement with a power that can be used, and the position about kept zero.
 
-    def _rate_own(self, own: PositionAccuracy | None) -> None:
-        self.own = own if self.own in (None, own) else self.own.or_worse(own)
-        if own is not None and own.is_reported:
-            self._best_own_m = min(self._best_own_m, own.horizontal_m)
+        A power is used where its level is configured, or where an emitter gives nothing else.
+        """
+        if measurement.power_dbm is not None and self.params.filter.power_at_1m_dbm is None:
+            if self.accepted or not measurement.is_power_alone:
+                measurement = replace(measurement, power_dbm=None)
+            else:
+                self._set_up(self.params.with_power)
+        if sensor_enu_m is not None and self.raised_m != 0.0:
+            sensor_enu_m = (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
+        return measurement, sensor_enu_m
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what passed the screen, unless the gate rejects it."""
@@ -265,8 +204,9 @@ class TargetTracker:
             self.integrity.begin(measurement)
             return FusionReport(None)
         measured = self._noise.inflation(self._optimizer.noise)
-        inflations = self._filter_inflation, self.integrity.gate_inflation(measured)
-        is_proven = self.integrity.agreement.is_proven
+        filter_inflation = measured if self.params.adapt_inflation else NO_INFLATION
+        inflations = filter_inflation, self.integrity.gate_inflation(measured)
+        is_proven = self.integrity.is_proven
         bank = update_hypotheses(
             self.hypotheses, self._filter, measurement, sensor_enu_m, *inflations
         )

@@ -2,11 +2,22 @@
 
 A measurement goes to its filter with the vehicle position at its time. Among several emitters the
 scheduler keeps estimate, plan and watches on the current one.
+
+Theory of operation. Estimation may not delay a setpoint. So measurements queue up by emitter, each
+is fused in steps (`companion.estimation.stepwise`), and between two wake-ups only a limited number
+of steps is made, counted by the measurements that they process: never by a clock, so that a replay
+makes the same steps at the same wake-ups. A measurement is finished before the next one of its
+emitter begins, so that estimates are the same, only later; a solution of the window takes some
+wake-ups. The current emitter goes first, the others alternate, which puts their solutions out of
+phase.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
@@ -28,11 +39,93 @@ from companion.guidance.messages import (
 )
 from companion.guidance.phases import FLYING, IN_CONTROL, Phase
 from companion.guidance.tracking.emitters import EmitterQueue
-from companion.guidance.tracking.fusion_queue import FusionQueue, Queued
 
 MAX_WAITING = 64
 """Measurements that may wait for a vehicle position at their time; the oldest is dropped."""
 PATIENCE_S = 0.25
+WAKE_ROWS = 20_000
+"""Measurements that the steps of one wake-up process: a tenth of a control period, 5 ms."""
+BEGIN_ROWS = 4_000
+"""Cost of a measurement in this unit besides solutions: screen, filter and the use of the estimate,
+1 ms in plain Python."""
+MOST_QUEUED = 256
+"""Limit at which the oldest is dropped: 16 emitters at 10 Hz for more than a second."""
+
+
+class Queued(NamedTuple):
+    """Measurement whose vehicle position is known, with the accuracy at that time."""
+
+    measurement: RangingMeasurement
+    now_s: float
+    own: PositionAccuracy | None
+
+
+class FusionQueue:
+    """Fuses added measurements by `begin`, in the order of each emitter."""
+
+    def __init__(self, begin: Callable[[Queued], Steps[FusionReport]]) -> None:
+        self._begin = begin
+        self.by_emitter: dict[int, deque[Queued]] = {}
+        """Queues by emitter, none of them empty, the next in turn first."""
+        self._begun: dict[int, Steps[FusionReport]] = {}
+        """Remaining steps for the first measurement of a queue."""
+        self._left = WAKE_ROWS
+
+    def __len__(self) -> int:
+        """Return the number of measurements that are not fused yet."""
+        return sum(len(queue) for queue in self.by_emitter.values())
+
+    def add(self, queued: Queued) -> bool:
+        """Queue a measurement; return True if it took the place of an older one."""
+        is_full = sum([len(queue) for queue in self.by_emitter.values()]) >= MOST_QUEUED
+        if is_full:
+            self._drop_oldest()
+        self.by_emitter.setdefault(queued.measurement.emitter_id, deque()).append(queued)
+        return is_full
+
+    def _drop_oldest(self) -> None:
+        """Drop the oldest measurement of the longest queue that is not begun."""
+
+        def waiting(key: int) -> int:
+            return len(self.by_emitter[key]) - (key in self._begun)
+
+        longest = max(self.by_emitter, key=waiting)
+        del self.by_emitter[longest][longest in self._begun]
+        if not self.by_emitter[longest]:
+            del self.by_emitter[longest]
+
+    def renew(self) -> None:
+        """Allow the steps of another wake-up."""
+        self._left = WAKE_ROWS
+
+    def advance(self, first_id: int | None) -> list[FusionReport]:
+        """Make the steps of this wake-up; return reports of finished measurements, oldest first."""
+        reports: list[FusionReport] = []
+        while self._left > 0 and self.by_emitter:
+            key = first_id if first_id in self.by_emitter else next(iter(self.by_emitter))
+            assert key is not None
+            steps = self._begun.pop(key, None)
+            if steps is None:
+                steps = self._begin(self.by_emitter[key][0])
+                self._left -= BEGIN_ROWS
+            is_over = True
+            try:
+                self._left -= next(steps)
+                self._begun[key] = steps
+                is_over = False
+            except StopIteration as end:
+                reports.append(end.value)
+            finally:
+                if is_over:  # also if it raised: what makes a filter fail is not repeated
+                    self._end(key)
+        return reports
+
+    def _end(self, key: int) -> None:
+        """Remove a measurement, and move its emitter to the end of the turn."""
+        queue = self.by_emitter.pop(key)
+        queue.popleft()
+        if queue:
+            self.by_emitter[key] = queue
 
 
 class RangingListener:
@@ -194,12 +287,12 @@ class Measuring:
     @property
     def is_behind(self) -> bool:
         """True while measurements are left to be fused."""
-        return bool(self._queue)
+        return bool(self._queue.by_emitter)
 
     def fuse_due(self, now_s: float) -> None:
         """Queue measurements whose position is known, and fuse within the steps of this wake-up."""
         self._take_due(now_s)
-        if self.is_behind:
+        if self._queue.by_emitter:
             self._advance(now_s)
 
     def go_on(self, now_s: float) -> None:
@@ -211,7 +304,7 @@ class Measuring:
     def tick(self, now_s: float) -> None:
         """Queue due measurements; fuse if there was no spare time between two control ticks."""
         self._take_due(now_s)
-        if not self.is_behind:
+        if not self._queue.by_emitter:
             self._queue.renew()
             return
         self._ticks_behind += 1
@@ -232,7 +325,7 @@ class Measuring:
 
     def _advance(self, now_s: float) -> None:
         try:
-            reports = self._queue.advance(self._context.tracker.emitter_id)
+            reports = self._queue.advance(self._context.emitters.current.emitter_id)
             if reports:
                 self._follow_reports(reports, now_s)
         except Exception as error:

@@ -12,32 +12,30 @@ stale; one that comes far less often than requested is slow; both are requested 
 link is alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is no detector where
 frames get lost.
 
-With COM_OBL_RC_ACT = 0, the default, PX4 falls back to Position mode when setpoints stop; without
-an RC that sinks at 0.6 to 0.9 m/s and drifts (PX4 1.15, observed in SITL). A warning says so.
-
-Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE; PX4 parameter reference,
-COM_OBL_RC_ACT; MAVLink guide, "Parameter Protocol", for integers sent bytewise in a float.
+Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
 
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
+from companion.link.autopilot_parameters import (
+    FenceParameters,
+    Px4FailsafeCheck,
+    hears_transmitter,
+)
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
 from companion.link.conversion.offered_modes import OfferedModes
 from companion.link.fence_download import FENCE_IDS, FenceDownload
-from companion.link.fence_parameters import FenceParameters
 from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
-from companion.mav.param_encoding import name_of
 
 SMOOTHING = 0.2
 """Weight of a new gap in the exponential mean."""
@@ -288,15 +286,6 @@ def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:
     return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params).message(target)
 
 
-RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-
-
-def hears_transmitter(status: mavlink.MAVLink_sys_status_message) -> bool:
-    """Return True if the autopilot reports a healthy RC transmitter."""
-    present = status.onboard_control_sensors_present & RC_BIT
-    return bool(present and status.onboard_control_sensors_health & RC_BIT)
-
-
 STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
 """Interval between two requests, if the stream came within the last second: messages in flight are
 no refusal."""
@@ -330,53 +319,6 @@ class StreamStopper:
         """Request again after a restart of the autopilot."""
         self._heard_s.clear()
         self._asked.clear()
-
-
-PARAMETER = "COM_OBL_RC_ACT"
-ASK_PERIOD_S = 3.0
-ASKS = 3
-WARNING = (
-    "COM_OBL_RC_ACT is 0 and there is no RC: if setpoints stop, PX4 sinks and drifts. "
-    "Set it to 5 (hold) or 3 (return)"
-)
-
-
-class Px4FailsafeCheck:
-    """Check of PX4's reaction to lost setpoints: reads the parameter, and warns once."""
-
-    def __init__(self) -> None:
-        self._asks = 0
-        self._next_s = 0.0
-        self._action: int | None = None
-        self._has_rc: bool | None = None
-        self._is_done = False
-
-    def due(
-        self, now_s: float, autopilot: Autopilot, system_id: int, component_id: int
-    ) -> Message | None:
-        """Return the request to send now, if any; after a few tries silence is accepted."""
-        is_needed = autopilot is Autopilot.PX4 and self._action is None and self._asks < ASKS
-        if not is_needed or now_s < self._next_s:
-            return None
-        self._asks += 1
-        self._next_s = now_s + ASK_PERIOD_S
-        name = PARAMETER.encode("ascii")
-        return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
-
-    def receive(self, message: Message) -> str | None:
-        """Process a message of the autopilot; return the warning, once, if it applies."""
-        if isinstance(message, mavlink.MAVLink_param_value_message):
-            self._take_parameter(message)
-        elif isinstance(message, mavlink.MAVLink_sys_status_message):
-            self._has_rc = hears_transmitter(message)
-        if self._is_done or self._action is None or self._has_rc is None:
-            return None
-        self._is_done = True
-        return WARNING if self._action == 0 and not self._has_rc else None
-
-    def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
-        if name_of(message) == PARAMETER:
-            self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
 
 
 PACE_AGAIN_S = 60.0

@@ -31,7 +31,7 @@ from companion.link.gcs_services import (
     TunableBook,
 )
 from companion.link.inbound import UNREAD
-from companion.link.intake import Authenticity, Intake
+from companion.link.intake import Authenticity, FloodShield, Intake
 from companion.link.interface import (
     EndpointParams,
     InputRecorder,
@@ -42,7 +42,7 @@ from companion.link.interface import (
 from companion.link.outbound import Ids
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
-from companion.link.quality import FloodShield, LinkAlarms, LinkHealth, RadioWatch
+from companion.link.quality import LinkAlarms, LinkHealth, RadioWatch
 from companion.link.radio_stage import RadioStage
 from companion.link.ranging_sources import (
     RANGING_IDS,

@@ -231,6 +231,32 @@ def _is_heartbeat(data: bytes) -> bool:
     return len(data) >= SHORTEST and data[0] in HEADER_LENGTH and message_id(data) == HEARTBEAT
 
 
+SHIELD_UP_S = 10.0
+"""Time after the last flood until the shield is lowered to test for it."""
+SHARE_OF_SILENCE = 0.5
+"""Silence of the autopilot that lowers the shield, as a share of that which frees its address."""
+
+
+class FloodShield:
+    """Shield against floods on one link, by its budget."""
+
+    def __init__(self, intake: Intake, binding: AutopilotBinding) -> None:
+        self._intake = intake
+        self._binding = binding
+        self._dropped = 0
+        self._flooded_s = -math.inf
+
+    def sole_peer(self, now_s: float) -> Address | None:
+        """Return the exclusive peer from this control tick to the next; None: all."""
+        binding, dropped = self._binding, sum(self._intake.budget.dropped)
+        if dropped > self._dropped:
+            self._dropped, self._flooded_s = dropped, now_s
+        if now_s - self._flooded_s > SHIELD_UP_S or not binding.is_bound or binding.heard_s is None:
+            return None
+        is_quiet = now_s - binding.heard_s > SHARE_OF_SILENCE * binding.silence_s
+        return None if is_quiet else binding.peer
+
+
 REPORT_PERIOD_S = CAUSE_PERIOD_S
 HINTS: Mapping[SignatureVerdict, str] = {
     SignatureVerdict.UNSIGNED: "does the autopilot sign, with this key?",

@@ -12,7 +12,7 @@ import msgspec
 from companion.domain import Params
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import Event
-from companion.link.radio_stage import RadioSetup
+from companion.link.radio_settings import RadioSetup
 from companion.mav.endpoint import Address
 
 

@@ -35,7 +35,6 @@ from companion.link.intake import Intake, RateLimit
 from companion.link.interface import LinkParams
 from companion.link.radio_stage import RadioStage
 from companion.link.texts import CAUSE_PERIOD_S
-from companion.mav.endpoint import Address
 
 MODULUS = 256
 HALF = MODULUS // 2
@@ -193,32 +192,6 @@ class LinkHealth:
             "missed_ticks": self.missed_ticks,
             "stalls": self.stalls,
         }
-
-
-SHIELD_UP_S = 10.0
-"""Time after the last flood until the shield is lowered to test for it."""
-SHARE_OF_SILENCE = 0.5
-"""Silence of the autopilot that lowers the shield, as a share of that which frees its address."""
-
-
-class FloodShield:
-    """Shield against floods on one link, by its budget."""
-
-    def __init__(self, intake: Intake, binding: AutopilotBinding) -> None:
-        self._intake = intake
-        self._binding = binding
-        self._dropped = 0
-        self._flooded_s = -math.inf
-
-    def sole_peer(self, now_s: float) -> Address | None:
-        """Return the exclusive peer from this control tick to the next; None: all."""
-        binding, dropped = self._binding, sum(self._intake.budget.dropped)
-        if dropped > self._dropped:
-            self._dropped, self._flooded_s = dropped, now_s
-        if now_s - self._flooded_s > SHIELD_UP_S or not binding.is_bound or binding.heard_s is None:
-            return None
-        is_quiet = now_s - binding.heard_s > SHARE_OF_SILENCE * binding.silence_s
-        return None if is_quiet else binding.peer
 
 
 ALARM_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S

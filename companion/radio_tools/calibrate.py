@@ -38,7 +38,8 @@ from companion.io.shell import Clock, Shell
 from companion.io.state.radio_offsets import KeptOffset, keep_offset, radio_key
 from companion.io.state.vehicle_lock import state_directory
 from companion.link.interface import LinkRole
-from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools.calibration import CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import as_json, verdict, yaml_to_paste

@@ -28,7 +28,8 @@ from companion.io.shell import Clock, Shell
 from companion.link.intake import FloodBudget
 from companion.link.interface import LinkRole
 from companion.link.quality import RadioWatch
-from companion.link.radio_stage import RadioSetup, RadioStage
+from companion.link.radio_settings import RadioSetup
+from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools import calibrate
 from companion.radio_tools.identify import identify

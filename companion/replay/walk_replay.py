@@ -31,7 +31,8 @@ from companion.domain import (
 )
 from companion.errors import ConfigError
 from companion.estimation.target_estimate import aside_of_m
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.sandwich import Observability
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")

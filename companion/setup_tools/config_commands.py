@@ -26,7 +26,7 @@ from companion.config.schema import (
     with_signing_key,
 )
 from companion.config.versions import KEY, SCHEMA_VERSION, renew
-from companion.link.radio_stage import RadioSettings
+from companion.link.radio_settings import RadioSettings
 
 DEFAULT = "default"
 WIDTH = 44

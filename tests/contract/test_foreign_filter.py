@@ -20,7 +20,8 @@ from companion.estimation.filters.target_filter import (
     UpdateReport,
 )
 from companion.estimation.measurement_model import jacobian, predicted, variances
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 TARGET = (12.0, -7.0)
 FOREIGN = cast(FilterKind, "foreign")

@@ -27,7 +27,8 @@ from companion.io.radio_recording import (
     RecordingHeader,
 )
 from companion.io.shell import Shell
-from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk
 from companion.radios.decoder import LineDecoder, Poll, RadioKind, RadioReading
 from tests.e2e.shell_helpers import drive, until

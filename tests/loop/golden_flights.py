@@ -25,7 +25,7 @@ from companion.config.versions import renew
 from companion.domain import FlightMode
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterConfig
-from companion.estimation.tracker import EstimationConfig
+from companion.estimation.tracker_params import EstimationConfig
 from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.session_params import SessionParams

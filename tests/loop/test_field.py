@@ -12,7 +12,7 @@ import pytest
 from companion.config.schema import PlannerConfig, load_config
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterConfig
-from companion.estimation.tracker import EstimationConfig
+from companion.estimation.tracker_params import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams

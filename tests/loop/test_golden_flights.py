@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.estimation.tracker import EstimationConfig
+from companion.estimation.tracker_params import EstimationConfig
 from companion.kernel import IS_COMPILED
 from companion.replay.flight_replay import replay_flight
 from tests.loop.golden_flights import (

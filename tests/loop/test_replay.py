@@ -11,7 +11,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
-from companion.estimation.tracker import EstimationConfig
+from companion.estimation.tracker_params import EstimationConfig
 from companion.flight_setup import (
     FlightFacts,
     build_endpoint,

@@ -12,7 +12,7 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
 from companion.domain import FlightMode
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import EstimationConfig
+from companion.estimation.tracker_params import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec

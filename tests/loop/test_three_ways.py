@@ -22,7 +22,8 @@ from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.domain import PositionAccuracy, PositionEnu, RangingMeasurement, WaypointReason
 from companion.estimation.stepwise import Steps, Stepwise
-from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_planner
 from companion.geometry.polygons import Point

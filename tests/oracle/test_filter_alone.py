@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from tools.study.case import Case, channel_draws, measured, run_seeds
 from tools.study.systems import PlannerName, System

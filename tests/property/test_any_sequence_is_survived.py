@@ -9,7 +9,8 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 pytestmark = pytest.mark.slow
 

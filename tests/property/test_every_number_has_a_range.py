@@ -14,7 +14,8 @@ import pytest
 from companion.config.schema import CompanionConfig, inconsistency
 from companion.domain import ArrayDirection, PositionEnu, RangingMeasurement
 from companion.errors import ConfigError
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.coordinates import wrap_pi
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from tests.unit.companion.link.wire import OFFBOARD, Wire

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.screening.measurement_screen import RejectReason
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0

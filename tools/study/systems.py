@@ -20,7 +20,8 @@ from companion.errors import ConfigError
 from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
 from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
 from companion.estimation.measurement_model import MODALITIES, RANGE_OFFSET
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.planning.crossing import LatchedCrossing

@@ -72,11 +72,6 @@ class ModalityReport:
     prior_share: float
     """H P H^T / R: the state's own uncertainty in the innovation."""
 
-    @classmethod
-    def of_row(cls, row: list[float]) -> ModalityReport | None:
-        """Return the report of six numbers of an update kernel; None if nothing was measured."""
-        return None if math.isnan(row[0]) else cls(*row)
-
 
 @dataclass(frozen=True, slots=True)
 class UpdateReport:
@@ -282,7 +277,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             power_at_1m_sigma_db=UNKNOWN_POWER_SIGMA_DB,
         )
 
-    @property
+    @cached_property
     def step_sigma_m(self) -> float:
         """Standard deviation of the quantisation error, uniform within a step of the ranges."""
         return self.range_step_m / math.sqrt(12.0)
@@ -385,28 +380,28 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         A range's is at least its quantisation error, and a reported one at least the configured
         one.
         """
-        m, least_m = measurement, self.step_sigma_m
-        configured = (
-            max(self.range_sigma_m, least_m),
-            math.radians(self.bearing_sigma_deg),
-            math.radians(self.elevation_sigma_deg),
-        )
-        if self.model.antenna == COSINES:  # one array measures both components alike
-            configured = (*configured[:2], configured[1])
-        if not self.use_reported_sigma:
-            return configured
+        m, configured = measurement, self.configured_sigmas
         reported = (m.range_sigma_m, m.bearing_sigma_rad, m.elevation_sigma_rad)
-        if reported == (None, None, None):
+        if not self.use_reported_sigma or reported == (None, None, None):
             return configured
-        ranged, borne, elevated = [
-            own if sigma is None else _within(sigma, own if least is None else least, most)
-            for sigma, least, most, own in zip(
-                reported, m.least_sigmas, MAX_SIGMAS, configured, strict=True
-            )
-        ]
-        return (max(ranged, least_m), borne, elevated)
+        used = []
+        for sigma, least, most, own in zip(
+            reported, m.least_sigmas, MAX_SIGMAS, configured, strict=True
+        ):
+            lower = own if least is None else least
+            if sigma is None:
+                used.append(own)
+            elif sigma < lower * (1.0 - FLOAT32_STEP):
+                used.append(lower)
+            else:
+                used.append(min(sigma, most))
+        return (max(used[0], self.step_sigma_m), used[1], used[2])
 
-
-def _within(reported: float, least: float, most: float) -> float:
-    """Return a reported standard deviation within its limits."""
-    return least if reported < least * (1.0 - FLOAT32_STEP) else min(reported, most)
+    @cached_property
+    def configured_sigmas(self) -> tuple[float, float, float]:
+        """Standard deviations of range, bearing and elevation where the radio reports none."""
+        bearing_rad = math.radians(self.bearing_sigma_deg)
+        elevation_rad = math.radians(self.elevation_sigma_deg)
+        if self.model.antenna == COSINES:  # one array measures both components alike
+            elevation_rad = bearing_rad
+        return max(self.range_sigma_m, self.step_sigma_m), bearing_rad, elevation_rad

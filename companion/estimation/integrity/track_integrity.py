@@ -42,33 +42,27 @@ class Contact:
     agreeing: int = 0
     """Measurements that agreed since the last gap, or since the first one."""
     power_s: float | None = None
+    newest_s: float | None = None
+    """Time of the newest measurement of any kind; None: none yet."""
 
     def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
         """Return the contact after a measurement with its bearing in ENU, which may be late."""
         at_s, newest_s = measurement.measured_at_s, self.newest_s
-        range_s, bearing_s = self.range_s, self.bearing_s
         has_range = measurement.range_m is not None and gate.agrees_in_range
         has_bearing = measurement.has_direction and gate.agrees_in_bearing
         has_power = measurement.power_dbm is not None and gate.agrees_in_power
         if not (has_range or has_bearing or has_power):
             return self
-        if has_range:
-            range_s = at_s if range_s is None else max(range_s, at_s)
-        if has_bearing:
-            bearing_s = at_s if bearing_s is None else max(bearing_s, at_s)
-        power_s = self.power_s
-        if has_power:
-            power_s = at_s if power_s is None else max(power_s, at_s)
         is_gap = newest_s is not None and at_s - newest_s > GAP_S
         agreeing = (0 if is_gap else self.agreeing) + gate.agrees
-        return Contact(range_s, bearing_s, agreeing, power_s)
-
-    @property
-    def newest_s(self) -> float | None:
-        """Time of the newest measurement of any kind; None: none yet."""
-        of_each = (self.range_s, self.bearing_s, self.power_s)
-        times_s = [time_s for time_s in of_each if time_s is not None]
-        return max(times_s, default=None)
+        of_each = (self.range_s, self.bearing_s, self.power_s, newest_s)
+        range_s, bearing_s, power_s, newest_s = [
+            before_s if not is_new else at_s if before_s is None else max(before_s, at_s)
+            for before_s, is_new in zip(
+                of_each, (has_range, has_bearing, has_power, True), strict=True
+            )
+        ]
+        return Contact(range_s, bearing_s, agreeing, power_s, newest_s)
 
     def is_interrupted(self, now_s: float) -> bool:
         """Return True during a gap, and before the first contact."""
@@ -96,37 +90,6 @@ TRACK_LOSS_S, TRACK_LOSS_COUNT = 5.0, 20
 """Time and number of measurements without agreement after which the track is lost."""
 
 
-class Agreement:
-    """Share of the latest measurements that agree with the estimate."""
-
-    def __init__(self) -> None:
-        self._recent = RecentShare()
-        self._agreed = 0
-        self._lost_s = 0.0
-        self._since_lost = 0
-        self.is_proven = False
-        """True if enough measurements agreed since the estimate began."""
-        self.is_lost = False
-        """True if hardly any measurement agrees with the estimate."""
-        self.is_track_lost = False
-        """True if agreement was lost for so long that the track should be discarded."""
-
-    def add(self, time_s: float, *, agrees: bool) -> None:
-        """Process a measurement."""
-        self._agreed += agrees
-        self.is_proven = self._agreed >= PROVEN_COUNT
-        self._recent.add(time_s, is_true=agrees)
-        share, was_lost = self._recent.share, self.is_lost
-        if share is None:
-            return
-        self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
-        if not was_lost:
-            self._lost_s, self._since_lost = time_s, 0
-        self._since_lost += 1
-        has_lasted = time_s - self._lost_s >= TRACK_LOSS_S and self._since_lost >= TRACK_LOSS_COUNT
-        self.is_track_lost = self.is_lost and has_lasted
-
-
 CONTRADICTION_COUNT = 40
 """Consecutive contradicting measurements at which the track is discarded."""
 CONTRADICTION_U = 3.0
@@ -148,34 +111,28 @@ class Contradiction:
     rejected_ranges: int = 0
     """Ranges that did not pass the gate: a long run of them is not a run of outliers."""
     rejected_bearings: int = 0
-
-    @property
-    def is_conclusive(self) -> bool:
-        """True if the track should be discarded."""
-        counts = (self.bearings, self.ranges, self.rejected_ranges, self.rejected_bearings)
-        return max(counts) >= CONTRADICTION_COUNT
+    is_conclusive: bool = False
+    """True if the track should be discarded."""
 
     def after(self, report: UpdateReport, inflation: Inflation, gate: Gate = OPEN) -> Contradiction:
         """Return the counts after one more update."""
         bearings, side, ranges = self.bearings, self.side, self.ranges
         rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
         if report.bearing is not None:
-            side = _side(report.bearing, inflation[1])
+            side = 0.0
+            u = _whitened(report.bearing, inflation[1])
+            if abs(u) > CONTRADICTION_U:
+                is_opposite = abs(report.bearing.innovation) > 0.5 * math.pi
+                side = OPPOSITE if is_opposite else math.copysign(1.0, u)
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
             rejected_bearings = 0 if gate.passes_bearing else rejected_bearings + 1
         if report.range is not None:
             is_too_short = _whitened(report.range, inflation[0]) < -CONTRADICTION_U
             ranges = ranges + 1 if is_too_short else 0
             rejected_ranges = 0 if gate.passes_range else rejected_ranges + 1
-        return Contradiction(bearings, side, ranges, rejected_ranges, rejected_bearings)
-
-
-def _side(report: ModalityReport, inflation: float) -> float:
-    u = _whitened(report, inflation)
-    if abs(u) <= CONTRADICTION_U:
-        return 0.0
-    is_opposite = abs(report.innovation) > 0.5 * math.pi
-    return OPPOSITE if is_opposite else math.copysign(1.0, u)
+        counts = (ranges, rejected_ranges, rejected_bearings)
+        is_conclusive = max(bearings, *counts) >= CONTRADICTION_COUNT
+        return Contradiction(bearings, side, *counts, is_conclusive)
 
 
 def _whitened(report: ModalityReport, inflation: float) -> float:
@@ -213,7 +170,13 @@ class NisWindow:
 
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
         """Process an update; return True if the NIS was above its band for too long."""
-        squares = _normalised_squares(report, inflation)
+        if _is_reflected(report):
+            return False
+        squares = [
+            row.whitened_innovation**2 / (c / row.weight + row.prior_share)
+            for row, c in zip(report.modalities, inflation, strict=False)
+            if row is not None
+        ]
         if not squares:
             return False
         self._values.append((time_s, statistics.fmean(squares), len(squares)))
@@ -236,17 +199,6 @@ class NisWindow:
         # the window's median lags behind the end of an excursion
         is_over = statistics.median(values[-NEWEST_COUNT:]) <= band
         return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
-
-
-def _normalised_squares(report: UpdateReport, inflation: Inflation) -> list[float]:
-    """Return each innovation squared over its variance; none if the range was a reflection."""
-    if _is_reflected(report):
-        return []
-    squares = []
-    for row, c in zip(report.modalities, inflation, strict=False):
-        if row is not None:
-            squares.append(row.whitened_innovation**2 / (c / row.weight + row.prior_share))
-    return squares
 
 
 def _is_reflected(report: UpdateReport) -> bool:
@@ -290,7 +242,14 @@ class TrackIntegrity:
 
     def reset(self) -> None:
         """Clear the evidence, because there is another estimate."""
-        self.agreement = Agreement()
+        self._recent = RecentShare()
+        """Share of the latest measurements that agree with the estimate."""
+        self._agreed = self._since_lost = 0
+        self._lost_s = 0.0
+        self.is_proven = False
+        """True if enough measurements agreed since the estimate began."""
+        self.is_lost = False
+        """True if hardly any measurement agrees with the estimate."""
         self._contradiction = Contradiction()
         self._detour_since_s: float | None = None
         """Time since which every measurement came on a detour; None: the newest did not."""
@@ -323,21 +282,35 @@ class TrackIntegrity:
         """Count how a measurement agrees; return True if the track should be discarded."""
         at_s = measurement.measured_at_s
         self.contact = self.contact.after(measurement, gate)
-        if not (self.agreement.is_proven and _is_detour(report, gate)):
+        if not (self.is_proven and _is_detour(report, gate)):
             self._detour_since_s = None
         elif self._detour_since_s is None:
             self._detour_since_s = at_s
         if self._detour_since_s is not None and at_s - self._detour_since_s < DETOUR_S:
             return False
-        self.agreement.add(at_s, agrees=gate.agrees)
+        is_track_lost = self.note_agreement(at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, gate_inflation, gate)
         is_out_of_band = self._nis.add(report, gate_inflation, at_s)
-        if not self.agreement.is_lost:
+        if not self.is_lost:
             self._inflation_at_loss = None
         elif self._inflation_at_loss is None:
             self._inflation_at_loss = gate_inflation
-        is_conclusive = self._contradiction.is_conclusive or self.agreement.is_track_lost
-        return is_conclusive or is_out_of_band
+        return self._contradiction.is_conclusive or is_track_lost or is_out_of_band
+
+    def note_agreement(self, time_s: float, *, agrees: bool) -> bool:
+        """Count a measurement; return True if agreement was lost for too long to keep the track."""
+        self._agreed += agrees
+        self.is_proven = self._agreed >= PROVEN_COUNT
+        self._recent.add(time_s, is_true=agrees)
+        share, was_lost = self._recent.share, self.is_lost
+        if share is None:
+            return False
+        self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
+        if not was_lost:
+            self._lost_s, self._since_lost = time_s, 0
+        self._since_lost += 1
+        has_lasted = time_s - self._lost_s >= TRACK_LOSS_S and self._since_lost >= TRACK_LOSS_COUNT
+        return self.is_lost and has_lasted
 
     def give_up(self, time_s: float, accepted: int) -> None:
         """Count a discarded track, and clear the evidence against it."""
@@ -361,4 +334,4 @@ class TrackIntegrity:
         restarts_s = self._restarts_s
         if len(restarts_s) == MAX_RESTARTS and now_s - restarts_s[0] <= RESTART_MEMORY_S:
             return Objection.UNSTABLE
-        return Objection.CONTRADICTED if self.agreement.is_lost else None
+        return Objection.CONTRADICTED if self.is_lost else None

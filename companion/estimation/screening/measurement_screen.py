@@ -267,6 +267,8 @@ class RecentShare:
         self._true_count = 0
         self.share: float | None = None
         """None: too few yet."""
+        self.is_most = False
+        """True if the share exceeds a half."""
 
     def add(self, time_s: float, *, is_true: bool) -> None:
         """Take in one that arrived at this time."""
@@ -275,12 +277,9 @@ class RecentShare:
         while len(self._window) > RECENT_COUNT and self._window[0][0] < time_s - RECENT_S:
             self._true_count -= self._window.popleft()[1]
         count = len(self._window)
-        self.share = self._true_count / count if count >= RECENT_COUNT else None
-
-    @property
-    def is_most(self) -> bool:
-        """True if the share exceeds a half."""
-        return self.share is not None and self.share > 0.5
+        if count >= RECENT_COUNT:  # as in all that follow: only a longer window is shortened
+            self.share = self._true_count / count
+            self.is_most = self.share > 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,31 +339,23 @@ class MeasurementScreen:
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> RejectReason | None:
         """Return why a measurement is invalid or repeated; None: it is valid, and remembered."""
-        reason = self._invalidity(measurement, sensor_enu_m, now_s)
+        reason = reject_reason_of(measurement, now_s, self._acceptance)
+        identity = identity_of(measurement)
+        if reason is None and identity in self._recent:
+            reason = RejectReason.DUPLICATE
+        elif reason is None and not (sensor_enu_m and all(map(math.isfinite, sensor_enu_m))):
+            reason = RejectReason.NO_POSITION
+        elif reason is None and measurement.range_m is None and measurement.power_dbm is None:
+            reason = self._lost_direction(measurement)
         if reason is RejectReason.RANGE_ABSURD:
             self._absurd_ranges.add(now_s, is_true=True)
         elif reason is RejectReason.BEARING_ABSURD:
             self._absurd_bearings.add(now_s, is_true=True)
-        if reason is not None:
-            return reason
-        self._recent[identity_of(measurement)] = None
-        if len(self._recent) > DUPLICATE_MEMORY:
-            del self._recent[next(iter(self._recent))]
-        return None
-
-    def _invalidity(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
-    ) -> RejectReason | None:
-        reason = reject_reason_of(measurement, now_s, self._acceptance)
-        if reason is not None:
-            return reason
-        if identity_of(measurement) in self._recent:
-            return RejectReason.DUPLICATE
-        if sensor_enu_m is None or not all(math.isfinite(v) for v in sensor_enu_m):
-            return RejectReason.NO_POSITION
-        if measurement.range_m is None and measurement.power_dbm is None:
-            return self._lost_direction(measurement)
-        return None
+        if reason is None:
+            self._recent[identity] = None
+            if len(self._recent) > DUPLICATE_MEMORY:
+                del self._recent[next(iter(self._recent))]
+        return reason
 
     def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
         """Return why a measured bearing gives no direction; None: it does, or there is none."""
@@ -392,26 +383,18 @@ class MeasurementScreen:
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)
         is_new = was_plausible and self.objection is not None
-        passed = measurement
+        passed, power_dbm = measurement, measurement.power_dbm
         if range_reason is not None:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
             passed = passed.without_direction()
         if passed.has_direction:
             self.has_body_bearings = passed.bearing_body_rad is not None
-        power_reason = self._power_reason(measurement, sensor_enu_m)
-        if power_reason is not None:
-            passed = replace(passed, power_dbm=None)
-        reason = range_reason or bearing_reason or power_reason
-        return Judgement(passed if passed.has_any else None, reason, is_new)
-
-    def _power_reason(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
-    ) -> RejectReason | None:
-        power_dbm, time_s = measurement.power_dbm, measurement.measured_at_s
-        if power_dbm is None or not self._frozen_power.add(power_dbm, time_s, sensor_enu_m):
-            return None
-        return RejectReason.FROZEN
+        reason, time_s = range_reason or bearing_reason, measurement.measured_at_s
+        if power_dbm is not None and self._frozen_power.add(power_dbm, time_s, sensor_enu_m):
+            passed, reason = replace(passed, power_dbm=None), reason or RejectReason.FROZEN
+        is_any_left = passed is measurement or passed.has_any
+        return Judgement(passed if is_any_left else None, reason, is_new)
 
     def _range_reason(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float

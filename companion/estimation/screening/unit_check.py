@@ -149,7 +149,14 @@ class UnitCheck:
     def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
         """Process a range as reported, finite and positive, and test periodically."""
         self._samples.append((time_s, range_m, sensor_enu_m))
-        self._forget_other_sizes()
+        sizes = [size for _, size, _ in self._samples]
+        before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
+        if len(before) >= NEWEST_COUNT:
+            middle_m = statistics.median(before)
+            if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
+                for _ in before:  # of another unit: a mixture of units explains nothing
+                    self._samples.popleft()
+                self._since = EVERY
         while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:
             self._samples.popleft()
         self._since += 1
@@ -157,18 +164,6 @@ class UnitCheck:
             return
         self._since = 0
         self._judge(time_s)
-
-    def _forget_other_sizes(self) -> None:
-        """Forget ranges from before a change of unit: a mixture of units explains nothing."""
-        sizes = [range_m for _, range_m, _ in self._samples]
-        before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
-        if len(before) < NEWEST_COUNT:
-            return
-        middle_m = statistics.median(before)
-        if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
-            for _ in before:
-                self._samples.popleft()
-            self._since = EVERY
 
     def _judge(self, now_s: float) -> None:
         raw_m = [range_m for _, range_m, _ in self._samples]

@@ -243,7 +243,8 @@ class WindowOptimizer:
         """Inflation over thermal noise of each modality at the best optimum; None: not solved
         yet."""
         self._older = OlderEvidence.none(self.map.size)
-        self._due_at = due_at
+        self.due_at: float = due_at if self._params.enabled else math.inf
+        """Accepted measurements from which the next solution is due."""
 
     @property
     def rows(self) -> Matrix:
@@ -300,10 +301,6 @@ class WindowOptimizer:
                 dropped = rows_as(dropped, params.antenna.kind)
             self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
-    def is_due(self, accepted: int) -> bool:
-        """Return True if the window should be solved after this many measurements."""
-        return self._params.enabled and accepted >= self._due_at
-
     @Stepwise
     def optimize(
         self,
@@ -320,7 +317,8 @@ class WindowOptimizer:
         `fresh_starts` are added to the hypotheses; None leaves their number to the evidence.
         """
         grown = max(1, int(EARLY_SHARE * accepted))
-        self._due_at = accepted + min(self._params.every, grown)
+        if self._params.enabled:
+            self.due_at = accepted + min(self._params.every, grown)
         if len(self.window.rows) < MIN_MEASUREMENTS or not hypotheses:
             return hypotheses
         if fresh_starts is None:

@@ -25,8 +25,11 @@ from companion.domain import (
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
-from companion.guidance.flight.position_accuracy import PositionAccuracyWatch
-from companion.guidance.flight.vehicle_track import VehicleTrack, is_plausible
+from companion.guidance.flight.vehicle_track import (
+    PositionAccuracyWatch,
+    VehicleTrack,
+    is_plausible,
+)
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:

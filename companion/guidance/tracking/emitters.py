@@ -21,7 +21,8 @@ from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
 from companion.estimation.stepwise import Steps, Stepwise
-from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
 from companion.search.search_prior import SearchPrior
 
@@ -181,27 +182,21 @@ class EmitterQueue:
         own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
         """Fuse a measurement of any emitter, its bearing in ENU, from the antenna's position."""
-        if self.is_single:
-            self._set_prior(self.current)
-            return (yield from self.current.fuse.steps(measurement, sensor_enu_m, now_s, own))
-        tracker = self._trackers.get(measurement.emitter_id)
+        tracker = self.current if self.is_single else self._trackers.get(measurement.emitter_id)
         if tracker is None:
             reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
             reason = RejectReason.OTHER_EMITTER if self._is_full else reason
             if reason is not None:
                 return self.current.reject(reason)
             tracker = self._begin(measurement.emitter_id)
-        self._set_prior(tracker)
-        report = yield from tracker.fuse.steps(measurement, sensor_enu_m, now_s, own)
-        if report.reject_reason is None and sensor_enu_m is not None:
-            self._place = sensor_enu_m[:2]
-            self._note_strength(measurement)
-        return report
-
-    def _set_prior(self, tracker: TargetTracker) -> None:
-        """Pass what the search has left, until the first measurement is accepted."""
-        if tracker.accepted == 0:
+        if tracker.accepted == 0:  # all that the search has left, until the first is accepted
             tracker.prior = self.search_prior()
+        report = yield from tracker.fuse.steps(measurement, sensor_enu_m, now_s, own)
+        if self.is_single or report.reject_reason is not None or sensor_enu_m is None:
+            return report
+        self._place = sensor_enu_m[:2]
+        self._note_strength(measurement)
+        return report
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
         """Choose the current emitter; in flight it stays if it can."""

@@ -26,7 +26,7 @@ from companion.io.links.transports import (
 from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink
 from companion.io.links.web_sockets import WebSocketLink
 from companion.link.interface import LinkRole, LinkSpec
-from companion.link.radio_stage import RadioSetup
+from companion.link.radio_settings import RadioSetup
 from companion.radios.decoder import Poll
 
 DEFAULT_POLL = Poll("/", 1.0)

@@ -12,7 +12,8 @@ import pytest
 from companion import warm_up as module
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest

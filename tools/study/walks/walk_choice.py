@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import msgspec
 
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker_params import TrackerParams
 from sim_link.lab.pool import open_pool
 from tools.study.walks.walk_figures import (
     TargetClaims,

@@ -18,7 +18,8 @@ import numpy as np
 from companion.config.schema import load_config
 from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.replay.walk_replay import WalkRow, read_walk
 from tools.study.walks.placed_walks import placed_cases, walks_of
 

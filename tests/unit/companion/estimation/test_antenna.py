@@ -13,7 +13,8 @@ from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axe
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import jacobian, variances
 from companion.estimation.screening.measurement_screen import RejectReason
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 PLACE = (0.0, 0.0, 20.0)
 LEVEL = Attitude(0.0, (0.0, 0.0))

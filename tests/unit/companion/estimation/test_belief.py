@@ -10,7 +10,8 @@ import pytest
 
 from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy
 from companion.estimation.belief import RESTORED_VARIANCE_FACTOR, Belief, StoredHypothesis
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import TARGET, measurement_of, params, reflected, walk
 

@@ -12,7 +12,8 @@ import pytest
 
 from companion.domain import EstimateState, PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from tests.unit.companion.estimation.tracker_helpers import bearing_to, leg, measured, range_to
 
 TARGET, FORGED = (50.0, 50.0), (-20.0, -5.0)

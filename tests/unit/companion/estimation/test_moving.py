@@ -12,7 +12,8 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.estimation.antenna import AntennaParams
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.kernel import Matrix
 from tests.unit.companion.estimation.walks import measurement_of, params, walk
 

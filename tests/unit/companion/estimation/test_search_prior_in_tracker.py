@@ -10,7 +10,8 @@ import pytest
 from companion.domain import EstimateState, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.hypotheses import Hypothesis, probabilities, ranked
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.search_prior import SearchPrior
 from companion.search.searched_area import SearchState

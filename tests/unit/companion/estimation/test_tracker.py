@@ -22,7 +22,8 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
 from companion.estimation.screening.measurement_screen import Objection, RejectReason
 from companion.estimation.target_estimate import KeptEstimate
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.geometry.polygons import Point
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams

@@ -23,7 +23,8 @@ from companion.domain import (
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 DOWN = (0.0, -90.0, 0.0)
 TARGET, HEIGHT_M = (20.0, 10.0, 0.0), 20.0

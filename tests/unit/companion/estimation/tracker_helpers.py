@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement, TargetEstimate
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
 
 HEIGHT_M = 20.0

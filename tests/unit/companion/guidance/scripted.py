@@ -17,7 +17,7 @@ from companion.domain import (
     RangingMeasurement,
     VehicleState,
 )
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_session
 from companion.geometry.coordinates import LocalOrigin

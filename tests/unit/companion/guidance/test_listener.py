@@ -9,7 +9,8 @@ from companion.domain import Attitude, PositionEnu, RangingMeasurement, VehicleS
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screening.measurement_screen import RejectReason
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import MAX_WAITING, RangingListener
 from companion.guidance.tracking.emitters import EmitterQueue

@@ -8,7 +8,7 @@ import pytest
 
 from companion.domain import Autopilot
 from companion.guidance.events import FenceLimits
-from companion.link.fence_parameters import NAMES, TRIES, FenceParameters
+from companion.link.autopilot_parameters import NAMES, TRIES, FenceParameters
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from companion.domain import Params, RangingMeasurement
-from companion.link.radio_stage import RadioSettings, RadioSetup, RadioStage
+from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.radio_stage import RadioStage
 from companion.radios.decoder import AngleFrame, RadioDecoder, RadioKind, RadioReading
 
 READING = RadioReading(emitter=7, range_m=42.0)

@@ -16,7 +16,7 @@ from companion.io.links.transports import check_exposure
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.sender_clock import VehicleClock
 from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
-from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.link.radio_settings import RadioSettings, RadioSetup
 from companion.link.ranging_sources import MavlinkRanging, SourceContext
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.quality import SHIELD_UP_S
+from companion.link.intake import SHIELD_UP_S
 from companion.mav.codec import MavCodec
 from companion.mav.endpoint import Address
 from tests.unit.companion.link.test_authenticity import wire as keyed_wire

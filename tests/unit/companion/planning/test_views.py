@@ -14,7 +14,7 @@ from companion.config.schema import CompanionConfig
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import DB_PER_NEPER, POWER, jacobian
-from companion.estimation.tracker import TrackerParams
+from companion.estimation.tracker_params import TrackerParams
 from companion.flight_setup import build_planner
 from companion.kernel import Vector
 from companion.planning.crossing import LatchedCrossing

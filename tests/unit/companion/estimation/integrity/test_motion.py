@@ -19,7 +19,8 @@ from companion.estimation.integrity.target_motion import (
     motion_of,
 )
 from companion.estimation.stepwise import Steps, Stepwise, finish
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import (

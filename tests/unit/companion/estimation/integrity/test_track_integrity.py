@@ -54,7 +54,7 @@ def test_nothing_speaks_against_an_estimate_that_fits() -> None:
     integrity.begin(RangingMeasurement(1, 0.0, range_m=50.0))
     assert not any(_flown(integrity, 100, 0.1, 0.5))
     assert integrity.objection(10.1) is None
-    assert integrity.agreement.is_proven
+    assert integrity.is_proven
     assert integrity.contact.agreeing_since_gap(10.1) == 101
 
 
@@ -68,7 +68,7 @@ def test_a_run_of_ranges_that_are_too_short_ends_it() -> None:
     assert integrity.contact.range_age_s(14.0) is not None
     integrity.give_up(14.0, 140)
     assert integrity.objection(14.0) is None
-    assert not integrity.agreement.is_proven
+    assert not integrity.is_proven
 
 
 def test_what_nothing_agrees_with_for_seconds_is_given_up() -> None:
@@ -138,4 +138,4 @@ def test_a_frame_that_moved_ends_the_contact() -> None:
     _flown(integrity, 50, 0.0, 0.5)
     integrity.forget()
     assert integrity.contact.newest_s is None
-    assert not integrity.agreement.is_proven
+    assert not integrity.is_proven

@@ -10,7 +10,8 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.screening.measurement_screen import FUTURE_TOLERANCE_S, RejectReason
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 
 PLACE: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0

@@ -11,7 +11,8 @@ import pytest
 from companion.domain import EstimateState
 from companion.estimation.filters.target_filter import NO_INFLATION, FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.optimizer import WindowOptimizer, start_around
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
@@ -78,7 +79,7 @@ def test_it_is_solved_often_at_first_and_steadily_later() -> None:
     optimizer = WindowOptimizer(P, WindowParams(every=25))
     due = []
     for accepted in range(1, 601):
-        if optimizer.is_due(accepted):
+        if accepted >= optimizer.due_at:
             due.append(accepted)
             optimizer.optimize((), accepted, NO_INFLATION, is_white=True, fresh_starts=0)
     assert due[0] == MIN_MEASUREMENTS
@@ -90,7 +91,7 @@ def test_it_is_solved_often_at_first_and_steadily_later() -> None:
 
 def test_it_can_be_switched_off() -> None:
     optimizer = WindowOptimizer(P, WindowParams(enabled=False))
-    assert not any(optimizer.is_due(accepted) for accepted in range(1000))
+    assert optimizer.due_at == math.inf
 
 
 def test_before_there_is_enough_it_leaves_the_hypotheses_alone() -> None:
@@ -286,7 +287,7 @@ def test_what_was_measured_can_be_forgotten() -> None:
     assert not optimizer.window.has_bearings
     assert optimizer.noise is None
     assert optimizer.observability(START) is None
-    assert optimizer.is_due(MIN_MEASUREMENTS)
+    assert optimizer.due_at <= MIN_MEASUREMENTS
     hypotheses = (NEAR,)
     assert _optimized(optimizer, hypotheses) is hypotheses
 

@@ -9,7 +9,8 @@ import pytest
 
 from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.tracker import TargetTracker, TrackerParams
+from companion.estimation.tracker import TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.map_kernels import COLUMNS
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,

@@ -9,7 +9,8 @@ import pytest
 
 from companion.domain import RangingMeasurement
 from companion.estimation.screening.measurement_screen import RejectReason
-from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
 from companion.guidance.tracking.emitters import (
     LOST_S,

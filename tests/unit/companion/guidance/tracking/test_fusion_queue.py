@@ -6,8 +6,9 @@ import pytest
 
 from companion.domain import RangingMeasurement
 from companion.estimation.stepwise import Steps, finish
-from companion.estimation.tracker import FusionReport, TargetTracker, TrackerParams
-from companion.guidance.tracking.fusion_queue import (
+from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker_params import TrackerParams
+from companion.guidance.measurements import (
     BEGIN_ROWS,
     MOST_QUEUED,
     WAKE_ROWS,

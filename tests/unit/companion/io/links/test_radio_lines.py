@@ -16,7 +16,7 @@ from companion.io.links.radio_lines import radio_link
 from companion.io.links.tcp import TcpServerLink
 from companion.io.links.transports import OwnLine
 from companion.link.interface import LinkRole
-from companion.link.radio_stage import RadioSettings, RadioSetup
+from companion.link.radio_settings import RadioSettings, RadioSetup
 from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
 from tests.ports import free_port
 
