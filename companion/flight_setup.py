@@ -30,9 +30,9 @@ from companion.estimation.antenna import (
     antenna_axes_enu,
 )
 from companion.guard.gate import Guard
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.searching import Searching
 from companion.guidance.session import GuidanceSession
-from companion.guidance.tracking.emitters import EmitterQueue
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.transports import FlightLink, parse_flight_link

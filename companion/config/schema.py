@@ -28,9 +28,9 @@ from companion.geometry.polygons import Corners, Point
 from companion.guard.envelope import Envelope, Reserve, Stopping
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
+from companion.guidance.emitters import QueueParams
 from companion.guidance.flight.fencing import FencePlan, FencePolicy
 from companion.guidance.session_params import SessionParams
-from companion.guidance.tracking.emitters import QueueParams
 from companion.link.interface import LinkParams, VehicleParams
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import PlanRequest

@@ -170,7 +170,7 @@ class DoctorProbe(OneShotEndpoint):
             autopilot=None if self._binding.system_id is None else self._autopilot_facts(),
             other_autopilots=tuple(sorted(self._autopilots - {self._binding.system_id})),
             other_companions=tuple(sorted(self._companions)),
-            unfit=tuple(self._binding.unfit_names()),
+            unfit=tuple(self._binding.candidates.unfit_names()),
             bytes_received=self._bytes,
             bad_frames=self._codec.counters.bad_crc + self._codec.undecodable,
             unproved_frames=self._codec.unproved,

@@ -27,7 +27,7 @@ from companion.estimation.filters.target_filter import (
 )
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import AZIMUTH, COSINES, POWER
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 
 LIKELY_LOG_RATIO = math.log(0.05)
 """Log of the probability, relative to the best, from which a hypothesis takes part in the gate."""

@@ -33,11 +33,9 @@ approximation (that of a Rician phase).
 Obstruction makes a range longer and a signal weaker, never the reverse, so that power has the same
 one-sided loss as ranges, on the side of weak signals.
 
-Paper: eq. (1) with h of the range lifted to the flown altitude, because a radio measures slant
-range (the paper works in the plane of flight). Deviations: scale, height, elevation, power and
-arrays. Source of the log-distance path loss: T. S. Rappaport, Wireless Communications (2002),
-section 4.9. Source of the arrays: H. L. Van Trees, Optimum Array Processing (2002), chapters 2 and
-4.
+Paper: eq. (1), in the plane of flight. Deviations: slant range, which is what a radio measures,
+scale, height, elevation, power and arrays. Sources: T. S. Rappaport, Wireless Communications
+(2002), section 4.9, for power; H. L. Van Trees, Optimum Array Processing (2002), chapters 2 and 4.
 """
 
 from __future__ import annotations

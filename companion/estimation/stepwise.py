@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from functools import partial
-from typing import Any, Concatenate, Generic, ParamSpec, TypeAlias, TypeVar, overload
+from typing import Any, Concatenate, Generic, NamedTuple, ParamSpec, TypeAlias, TypeVar, overload
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -50,13 +50,10 @@ def while_same(steps: Steps[None], state: Callable[[], object]) -> Steps[None]:
             steps.close()
 
 
-class Callee(Generic[P, T]):
+class Callee(NamedTuple, Generic[P, T]):
     """Stepwise method of one object: called as a whole, or started by `steps`."""
 
-    __slots__ = ("steps",)
-
-    def __init__(self, steps: Callable[P, Steps[T]]) -> None:
-        self.steps = steps
+    steps: Callable[P, Steps[T]]
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
         """Run all steps at once."""

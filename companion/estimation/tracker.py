@@ -37,11 +37,10 @@ from companion.estimation.hypotheses import (
     shift_hypothesis,
     state_step,
 )
-from companion.estimation.integrity.target_motion import MotionWatch
-from companion.estimation.integrity.track_integrity import TrackIntegrity
+from companion.estimation.integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
-from companion.estimation.noise.innovations import InnovationNoise, TrackerHealth
-from companion.estimation.screening.measurement_screen import (
+from companion.estimation.noise import InnovationNoise, TrackerHealth
+from companion.estimation.screen import (
     MeasurementScreen,
     Objection,
     RejectReason,
@@ -53,6 +52,7 @@ from companion.estimation.target_estimate import (
     position_covariance_m2,
     r95_of_covariance_m,
 )
+from companion.estimation.target_motion import MotionWatch
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer

@@ -8,7 +8,7 @@ from companion.domain import Distance, Params, Positive
 from companion.estimation.filters.kalman import FilterKind
 from companion.estimation.filters.target_filter import FilterConfig, FilterParams
 from companion.estimation.hypotheses import HypothesisParams
-from companion.estimation.screening.measurement_screen import AcceptanceParams
+from companion.estimation.screen import AcceptanceParams
 from companion.estimation.window.window_map import WindowParams
 
 

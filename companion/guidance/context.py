@@ -31,6 +31,7 @@ from companion.guidance.commands import (
     Topic,
     WithdrawRequest,
 )
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
@@ -46,7 +47,6 @@ from companion.guidance.phases import (
     Trigger,
 )
 from companion.guidance.session_params import SessionParams, Tuning
-from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
 from companion.search.search_prior import SearchPrior
 

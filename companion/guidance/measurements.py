@@ -21,11 +21,12 @@ from typing import NamedTuple
 
 from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
-from companion.estimation.screening.measurement_screen import RejectReason, identity_of
+from companion.estimation.screen import RejectReason, identity_of
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.health.watches import InputWatch
 from companion.guidance.messages import (
@@ -38,7 +39,6 @@ from companion.guidance.messages import (
     waiting_record,
 )
 from companion.guidance.phases import FLYING, IN_CONTROL, Phase
-from companion.guidance.tracking.emitters import EmitterQueue
 
 MAX_WAITING = 64
 """Measurements that may wait for a vehicle position at their time; the oldest is dropped."""

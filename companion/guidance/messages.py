@@ -16,8 +16,8 @@ from dataclasses import asdict, replace
 
 from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint, radii_text
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.integrity.target_motion import TargetMotion
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
+from companion.estimation.target_motion import TargetMotion
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence

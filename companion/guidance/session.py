@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
-from companion.estimation.noise.innovations import TrackerHealth
+from companion.estimation.noise import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance import events
@@ -21,6 +21,7 @@ from companion.guidance.commands import Command, ReportResult
 from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.fencing import FencePlan, Fencing
 from companion.guidance.flight.searching import Searching
 from companion.guidance.handover import Handover
@@ -29,7 +30,6 @@ from companion.guidance.measurements import EmitterScheduler, Measuring
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.recovery import Recollection, memory_of
 from companion.guidance.session_params import SessionParams, When
-from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner
 
 

@@ -1,10 +1,9 @@
 """Binding to one autopilot, and the check that its frames continue as one vehicle's.
 
-Theory of operation. Every HEARTBEAT of an autopilot makes its sender a candidate; stations,
-gimbals, cameras, companion computers and other senders that fly nothing are excluded. Where no
-system id is configured, nothing is bound before all candidates had time to appear, and two systems
-are waited out, or for the operator's choice. Of one system, component 1 is preferred. After a
-restart of the companion its vehicle is bound at once, if ids and boot clock continue.
+Theory of operation. Every autopilot that is heard is a candidate. Where no system id is configured,
+nothing is bound before all candidates had time to appear, and two systems are waited out, or for
+the operator's choice. Of one system, component 1 is preferred. After a restart of the companion its
+vehicle is bound at once, if ids and boot clock continue.
 
 The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
 position and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
@@ -21,29 +20,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from companion.domain import Autopilot, VehicleClass
+from companion.domain import Autopilot
 from companion.guidance.events import VehicleMark
-from companion.link.hardware_id import HardwareId, uid_of
+from companion.link.candidates import VANISHED_S, Candidate, Candidates, Ids
 from companion.link.identity import (
     DOUBT_S,
     JITTER_S,
+    HardwareId,
     IdentityCourse,
     Sign,
     SignVerdict,
     Track,
     exchange_sign_of,
     sign_of,
+    uid_of,
 )
-from companion.mav.dialect import Message, mavlink, result_words
+from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 from companion.mav.flight_modes import autopilot_of, class_of, gives_control, is_of_component
 
 LISTEN_S = 3.0
 """Time to wait for further candidates (MAVLink guide, see above)."""
-VANISHED_S = 10.0
-"""Silence after which a candidate has vanished."""
-MOST_CANDIDATES = 8
-"""Limit of candidates that are kept."""
 MOST_ADDRESSES = 8
 """Limit of addresses that are kept: forged frames can invent any number."""
 PEER_SILENCE_S = 3.0
@@ -54,22 +51,6 @@ another port: long enough that two paths to one autopilot do not alternate, shor
 without setpoints after which PX4 leaves OFFBOARD."""
 PROOF_PERIOD_S = 0.5
 """Interval of requests to an address for evidence of its vehicle."""
-
-Ids = tuple[int, int]
-
-
-@dataclass(slots=True)
-class Candidate:
-    """Autopilot that was received."""
-
-    ids: Ids
-    autopilot: Autopilot
-    vehicle_class: VehicleClass
-    vehicle_type: int
-    """MAV_TYPE."""
-    peer: Address | None
-    first_s: float
-    heard_s: float
 
 
 @dataclass(slots=True)
@@ -97,15 +78,11 @@ class AutopilotBinding:
     """Frames with the autopilot's ids from another address."""
     moves: int = 0
     """Number of changes of the autopilot's address."""
-    unfit: dict[Ids, int] = field(default_factory=dict)
-    """Senders of HEARTBEATs that fly nothing, and their MAV_TYPE."""
-    _candidates: dict[Ids, Candidate] = field(default_factory=dict)
+    candidates: Candidates = field(default_factory=Candidates)
     _course: IdentityCourse = field(default_factory=IdentityCourse)
     _exchange: IdentityCourse = field(default_factory=IdentityCourse)
     hardware: HardwareId = field(default_factory=HardwareId)
     _doubted_s: float = 0.0
-    _ticked_s: float | None = None
-    """Time of the last control tick, before which all that waited in the links was read."""
     _expected: tuple[VehicleMark, Track] | None = None
     """The vehicle that an earlier process had, and its clock."""
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
@@ -139,14 +116,9 @@ class AutopilotBinding:
         ours = self.system_id
         if self.wanted_system_id is not None or ours is None:
             return []
-        return sorted({each.ids[0] for each in self._present(self.heard_s or 0.0)} - {ours})
-
-    def unfit_names(self) -> list[str]:
-        """Return senders of HEARTBEATs that fly nothing, as ids and kind."""
-        return [
-            f"{system}/{component} ({result_words('MAV_TYPE', number, 'MAV_TYPE_')})"
-            for (system, component), number in sorted(self.unfit.items())
-        ]
+        return sorted(
+            {each.ids[0] for each in self.candidates.present(self.heard_s or 0.0)} - {ours}
+        )
 
     @property
     def silence_s(self) -> float:
@@ -157,8 +129,10 @@ class AutopilotBinding:
         """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
         header = message.get_header()
         ids = (header.srcSystem, header.srcComponent)
-        if isinstance(message, mavlink.MAVLink_heartbeat_message):
-            self._note_heartbeat(message, ids, peer, now_s)
+        if isinstance(message, mavlink.MAVLink_heartbeat_message) and self.candidates.take(
+            message, peer, now_s, wanted_system_id=self.wanted_system_id, bound=self.bound
+        ):
+            self._choose(now_s)
         if self._expected is not None:
             self._bind_expected(sign_of(message), ids, peer, now_s)
         if self.bound is None or ids != self.bound.ids or is_of_component(message):
@@ -203,7 +177,7 @@ class AutopilotBinding:
 
     def note_control(self, now_s: float, *, is_in_control: bool, is_armed: bool) -> None:
         """Note once per tick whether the companion has control and the vehicle is armed."""
-        self._ticked_s = now_s
+        self.candidates.ticked_s = now_s
         self.is_in_control = is_in_control
         self.is_committed = is_in_control or (self.is_committed and is_armed)
         if not self.is_committed:
@@ -241,7 +215,7 @@ class AutopilotBinding:
         self, sign: Sign | None, ids: Ids, peer: Address | None, now_s: float
     ) -> None:
         """Bind a candidate that has ids and clock of the vehicle that is expected."""
-        candidate = self._candidates.get(ids)
+        candidate = self.candidates.known.get(ids)
         if self._expected is None or self.bound is not None or sign is None:
             return
         if candidate is None or candidate.peer != peer:
@@ -254,47 +228,11 @@ class AutopilotBinding:
 
     # Candidates
 
-    def _note_heartbeat(
-        self,
-        heartbeat: mavlink.MAVLink_heartbeat_message,
-        ids: Ids,
-        peer: Address | None,
-        now_s: float,
-    ) -> None:
-        autopilot = autopilot_of(heartbeat)
-        if autopilot is None or 0 in ids:
-            if len(self.unfit) < MOST_CANDIDATES:
-                self.unfit[ids] = heartbeat.type
-            return
-        if self.wanted_system_id not in (None, ids[0]):
-            return
-        known = self._candidates.get(ids)
-        if known is None:
-            self._drop_vanished(now_s)
-            if len(self._candidates) < MOST_CANDIDATES:
-                kind = (autopilot, class_of(heartbeat), heartbeat.type)
-                self._candidates[ids] = Candidate(ids, *kind, peer, now_s, now_s)
-        else:
-            known.heard_s = now_s
-            if known is not self.bound:
-                known.autopilot, known.vehicle_class = autopilot, class_of(heartbeat)
-                known.vehicle_type, known.peer = heartbeat.type, peer
-        self._choose(now_s)
-
-    def _drop_vanished(self, now_s: float) -> None:
-        for ids, each in list(self._candidates.items()):
-            if self._has_vanished(each.heard_s, now_s) and each is not self.bound:
-                del self._candidates[ids]
-
-    def _present(self, now_s: float) -> list[Candidate]:
-        known = self._candidates.values()
-        return [each for each in known if not self._has_vanished(each.heard_s, now_s)]
-
     def _choose(self, now_s: float) -> None:
         """Bind, wait or rebind, by the candidates that are present."""
         if self.is_committed:
             return
-        here = self._present(now_s)
+        here = self.candidates.present(now_s)
         systems = sorted({each.ids[0] for each in here})
         if len(systems) > 1:
             if self.problem is None:
@@ -328,16 +266,9 @@ class AutopilotBinding:
 
     # The course of what is bound
 
-    def _listened_s(self, heard_s: float, now_s: float) -> float:
-        """Seconds since a frame was heard; without a stall after it, whose frames still wait."""
-        return (now_s if self._ticked_s is None else self._ticked_s) - heard_s
-
-    def _has_vanished(self, heard_s: float, now_s: float) -> bool:
-        return self._listened_s(heard_s, now_s) > VANISHED_S
-
     def _is_silent(self, now_s: float, silence_s: float | None = None) -> bool:
         least_s = self.silence_s if silence_s is None else silence_s
-        return self.heard_s is None or self._listened_s(self.heard_s, now_s) >= least_s
+        return self.heard_s is None or self.candidates.listened_s(self.heard_s, now_s) >= least_s
 
     def _doubt(self, problem: str, now_s: float) -> None:
         self._doubted_s = now_s
@@ -435,7 +366,7 @@ class AutopilotBinding:
         elif course.is_steady:
             how = self._course.describe(sign, now_s)
             self._doubt(f"{self._name} at {_words(peer)} is another vehicle: {how}", now_s)
-            is_gone = self.heard_s is not None and self._has_vanished(self.heard_s, now_s)
+            is_gone = self.heard_s is not None and self.candidates.has_vanished(self.heard_s, now_s)
             if is_gone and not self.is_committed and self.bound is not None:
                 self.bound.peer = peer
                 self._bind(self.bound)

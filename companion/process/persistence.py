@@ -34,10 +34,10 @@ from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
 from companion.errors import CompanionError
 from companion.guidance.commands import Severity
+from companion.guidance.emitters import Progress
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
 from companion.guidance.flight.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
-from companion.guidance.tracking.emitters import Progress
 from companion.io.background_files import BackgroundReplacer
 from companion.io.files import write_bytes_atomic
 from companion.io.logs.flight_recorder import FlightJournal

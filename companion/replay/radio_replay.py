@@ -15,9 +15,9 @@ from pathlib import Path
 from companion.config.radios import RadioConfig, radio_setups, replayed_radios
 from companion.config.schema import CompanionConfig
 from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
+from companion.guidance.emitters import EmitterQueue, QueueParams
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import RangingListener
-from companion.guidance.tracking.emitters import EmitterQueue, QueueParams
 from companion.io.logs.log_files import damage_text
 from companion.io.radio_recording import RadioBytes, TimedPose, read_radio_recording
 from companion.link.radio_stage import RadioStage

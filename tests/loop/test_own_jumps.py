@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode, PositionEnu
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.guidance.phases import FLYING, Phase
 from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario

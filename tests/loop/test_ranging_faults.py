@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import EstimateState
-from companion.estimation.screening.measurement_screen import Objection, RejectReason
+from companion.estimation.screen import Objection, RejectReason
 from companion.guidance.phases import FLYING, Phase
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.lab.faults.fault_models import (

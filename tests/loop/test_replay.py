@@ -20,9 +20,9 @@ from companion.flight_setup import (
     write_facts,
 )
 from companion.guidance.commands import Severity
+from companion.guidance.emitters import QueueParams
 from companion.guidance.events import ProcessMessage
 from companion.guidance.session_params import SessionParams
-from companion.guidance.tracking.emitters import QueueParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.logs.log_files import event_lines

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 

@@ -40,9 +40,7 @@ from companion.estimation.filters.robust_update import (
 from companion.estimation.filters.target_filter import FilterParams, TargetFilter
 from companion.estimation.measurement_model import (
     RangingModel,
-    innovations,
-    jacobian,
-    variances,
+    linearised,
 )
 from companion.kernel import Matrix, Vector, kernel
 
@@ -116,9 +114,7 @@ def admm_update(
     penalty: float,
 ) -> tuple[Vector, Matrix, Matrix, bool]:
     """Update the state with one measurement by splitting; arguments as in `robust_update`."""
-    H = jacobian(mean, sensor_enu_m, model)
-    y = innovations(z, mean, sensor_enu_m, model)
-    R = variances(P, mean, sensor_enu_m, sigma, model)
+    y, H, R = linearised(z, P, mean, sensor_enu_m, sigma, model)
     whitened_H = np.zeros((3, mean.size))
     whitened_y = np.zeros(3)
     report = np.full((3, 7), np.nan)

@@ -25,7 +25,7 @@ from companion.estimation.filters.target_filter import (
     Inflation,
 )
 from companion.estimation.hypotheses import Hypothesis, shift_rows
-from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
+from companion.estimation.integrity import CONTRADICTION_COUNT
 from companion.estimation.measurement_model import BEARING, DB_PER_NEPER, POWER, RANGE
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as

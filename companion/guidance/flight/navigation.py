@@ -15,10 +15,10 @@ from companion.geometry.polygons import Point, depth_m
 from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 from companion.guidance.commands import Announce, Command, Severity, Topic
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.searching import Searching
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
-from companion.guidance.tracking.emitters import EmitterQueue
 from companion.planning.planner import Planner, PlanRequest
 from companion.planning.search import SearchMemory, SearchThenCrossMemory
 from companion.search.outlook import Outlook

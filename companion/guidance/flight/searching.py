@@ -16,8 +16,8 @@ import math
 from companion.domain import LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
+from companion.guidance.emitters import Progress
 from companion.guidance.flight.vehicle import VehicleView
-from companion.guidance.tracking.emitters import Progress
 from companion.search.detection_model import DetectionModel
 from companion.search.learnt_reach import LearntReach, learnt_reach
 from companion.search.outlook import Outlook, outlook_of

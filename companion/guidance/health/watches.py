@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 from companion.domain import R95_OF_SIGMA, BatteryLevel, FlightMode, TargetEstimate
-from companion.estimation.screening.measurement_screen import Objection
+from companion.estimation.screen import Objection
 from companion.guidance import events
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.context import SessionContext

@@ -12,7 +12,7 @@ from companion.domain import Attitude, RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams, antenna_axes_enu, seen_in_enu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import jacobian, variances
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 

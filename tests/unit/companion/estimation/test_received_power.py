@@ -17,7 +17,7 @@ from companion.estimation.filters.target_filter import (
     FilterState,
 )
 from companion.estimation.measurement_model import POWER, jacobian, predicted
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.map_kernels import row_vector

@@ -19,8 +19,8 @@ from companion.domain import (
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.kalman import KINDS, FilterKind, filter_of
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT
-from companion.estimation.screening.measurement_screen import Objection, RejectReason
+from companion.estimation.integrity import CONTRADICTION_COUNT
+from companion.estimation.screen import Objection, RejectReason
 from companion.estimation.target_estimate import KeptEstimate
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams

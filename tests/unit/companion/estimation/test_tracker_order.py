@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from tests.unit.companion.estimation.tracker_helpers import (

@@ -31,6 +31,7 @@ from companion.guidance.commands import (
     WithdrawRequest,
 )
 from companion.guidance.control import TICK_S
+from companion.guidance.emitters import QueueParams
 from companion.guidance.events import (
     AutopilotFenceRead,
     BatteryReported,
@@ -48,7 +49,6 @@ from companion.guidance.events import (
 )
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
-from companion.guidance.tracking.emitters import QueueParams
 from companion.link.interface import VehicleParams
 
 C = TypeVar("C", bound=Command)

@@ -8,12 +8,12 @@ import pytest
 from companion.domain import Attitude, PositionEnu, RangingMeasurement, VehicleState
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
+from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import MAX_WAITING, RangingListener
-from companion.guidance.tracking.emitters import EmitterQueue
 
 PAPER = AntennaParams()
 AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.estimation.integrity.target_motion import TargetMotion
+from companion.estimation.target_motion import TargetMotion
 from companion.guidance.commands import Severity
 from companion.guidance.messages import MotionMessages
 

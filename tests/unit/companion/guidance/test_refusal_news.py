@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.guidance.commands import Announce, Record
 from companion.guidance.messages import MANY, TEXT_PERIOD_S, RejectMessages
 

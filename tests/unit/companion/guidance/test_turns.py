@@ -10,6 +10,7 @@ import pytest
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu
 from companion.guidance.commands import Record
+from companion.guidance.emitters import QueueParams
 from companion.guidance.events import (
     BatteryReported,
     MemoryRecalled,
@@ -18,7 +19,6 @@ from companion.guidance.events import (
 )
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
-from companion.guidance.tracking.emitters import QueueParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 NEAR, FAR = (25.0, 20.0, 0.0), (60.0, 30.0, 0.0)

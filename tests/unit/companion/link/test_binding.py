@@ -6,7 +6,8 @@ import pytest
 
 from companion.domain import Autopilot
 from companion.guidance.events import VehicleMark
-from companion.link.binding import LISTEN_S, SURE_SILENCE_S, VANISHED_S, AutopilotBinding
+from companion.link.binding import LISTEN_S, SURE_SILENCE_S, AutopilotBinding
+from companion.link.candidates import VANISHED_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, NOBODY, PEER, PX4, STRANGER, heartbeat
@@ -92,7 +93,7 @@ def test_a_gimbal_before_the_autopilot_is_named_and_the_autopilot_bound() -> Non
     heard.binding.recognise(gimbal, PEER, 0.0)
     heard.now_s = 1.5
     assert heard.hear((1, 1), seconds=4).ids == (1, 1)
-    assert heard.binding.unfit_names() == ["1/154 (gimbal)"]
+    assert heard.binding.candidates.unfit_names() == ["1/154 (gimbal)"]
 
 
 def test_nothing_but_a_heartbeat_binds() -> None:

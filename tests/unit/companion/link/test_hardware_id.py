@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.hardware_id import MOST_ASKS, HardwareId, uid_of
+from companion.link.identity import MOST_ASKS, HardwareId, uid_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 

@@ -13,9 +13,9 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig, LogConfig
 from companion.domain import LandedState
 from companion.geometry.geofence import GeoArea, GeoFence
+from companion.guidance.emitters import QueueParams
 from companion.guidance.events import AutopilotFenceRead, LandedStateChanged
 from companion.guidance.session_params import SessionParams
-from companion.guidance.tracking.emitters import QueueParams
 from companion.io.state.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
 from companion.process.persistence import RestartKeeper

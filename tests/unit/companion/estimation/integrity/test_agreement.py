@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.estimation.integrity.track_integrity import PROVEN_COUNT, TrackIntegrity
+from companion.estimation.integrity import PROVEN_COUNT, TrackIntegrity
 
 
 def _fed(integrity: TrackIntegrity, count: int, start_s: float, *, agrees: bool) -> list[float]:

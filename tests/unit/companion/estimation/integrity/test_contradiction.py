@@ -14,7 +14,7 @@ from companion.estimation.filters.target_filter import (
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.integrity.track_integrity import (
+from companion.estimation.integrity import (
     CONTRADICTION_COUNT,
     CONTRADICTION_U,
     Contradiction,

@@ -13,13 +13,13 @@ from companion.estimation.filters.target_filter import (
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.integrity.track_integrity import (
+from companion.estimation.integrity import (
     NIS_WINDOW_COUNT,
     RESTART_MEMORY_S,
     NisWindow,
     TrackIntegrity,
 )
-from companion.estimation.screening.measurement_screen import Objection
+from companion.estimation.screen import Objection
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.estimation.integrity.target_motion import (
+from companion.estimation.stepwise import Steps, Stepwise, finish
+from companion.estimation.target_motion import (
     CLEARED_COUNT,
     CONFIRMING_TESTS,
     EVERY_S,
@@ -18,7 +19,6 @@ from companion.estimation.integrity.target_motion import (
     TargetMotion,
     motion_of,
 )
-from companion.estimation.stepwise import Steps, Stepwise, finish
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowMap

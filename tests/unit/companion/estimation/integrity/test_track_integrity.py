@@ -12,8 +12,8 @@ from companion.estimation.filters.target_filter import (
     ModalityReport,
     UpdateReport,
 )
-from companion.estimation.integrity.track_integrity import CONTRADICTION_COUNT, TrackIntegrity
-from companion.estimation.screening.measurement_screen import Objection
+from companion.estimation.integrity import CONTRADICTION_COUNT, TrackIntegrity
+from companion.estimation.screen import Objection
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.estimation.noise.innovations import (
+from companion.estimation.noise import (
     MAX_INFLATION,
     MIN_PAIRS,
     NOISE_FORGETTING,

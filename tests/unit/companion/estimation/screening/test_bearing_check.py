@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
-from companion.estimation.screening.measurement_screen import BearingCheck
+from companion.estimation.screen import BearingCheck
 
 SIGMA_RAD = math.radians(2.0)
 TARGET = (50.0, 50.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.estimation.screening.measurement_screen import (
+from companion.estimation.screen import (
     FROZEN_COUNT,
     FROZEN_M,
     FROZEN_S,

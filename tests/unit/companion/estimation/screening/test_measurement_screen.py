@@ -9,7 +9,7 @@ import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.measurement_screen import (
+from companion.estimation.screen import (
     AcceptanceParams,
     MeasurementScreen,
     Objection,

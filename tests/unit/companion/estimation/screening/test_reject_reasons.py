@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.screening.measurement_screen import FUTURE_TOLERANCE_S, RejectReason
+from companion.estimation.screen import FUTURE_TOLERANCE_S, RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 

@@ -11,7 +11,7 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.unit_check import UnitCheck
+from companion.estimation.unit_check import UnitCheck
 
 MAX_RANGE_M = 2000.0
 RATE_HZ = 10.0

@@ -8,11 +8,11 @@ import msgspec
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.screening.measurement_screen import RejectReason
+from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
-from companion.guidance.tracking.emitters import (
+from companion.guidance.emitters import (
     LOST_S,
     MIN_ACCEPTED,
     EmitterQueue,

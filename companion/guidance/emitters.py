@@ -19,7 +19,7 @@ import msgspec
 from companion.domain import Params, PositionAccuracy, PositionEnu, RangingMeasurement
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
-from companion.estimation.screening.measurement_screen import RejectReason, reject_reason_of
+from companion.estimation.screen import RejectReason, reject_reason_of
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams

@@ -37,7 +37,7 @@ from companion.estimation.antenna import (
     lost_direction,
 )
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.screening.unit_check import UnitCheck
+from companion.estimation.unit_check import UnitCheck
 from companion.geometry.coordinates import wrap_pi
 
 

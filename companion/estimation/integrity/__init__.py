@@ -1,1 +1,0 @@
-"""Integrity of the estimate: consistency, contradictions, motion of the target."""

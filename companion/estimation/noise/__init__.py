@@ -1,1 +1,0 @@
-"""Learning the measurement noise of the run: innovations."""

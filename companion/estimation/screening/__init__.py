@@ -1,1 +1,0 @@
-"""Screening of measurements before the filter: validity, plausibility, units."""

@@ -1,1 +1,0 @@
-"""Tracking: ranging measurements in, estimates of one or more emitters out."""
