@@ -307,6 +307,8 @@ class MeasurementScreen:
         self.has_body_bearings = False
         """True if the newest bearing is relative to the vehicle's heading."""
         self._params, self._acceptance = params, acceptance
+        self.objection: Objection | None = None
+        """Reason not to use such values for guidance; None: there is none."""
         self.clear()
 
     def clear(self) -> None:
@@ -316,6 +318,7 @@ class MeasurementScreen:
         self._units = UnitCheck(self._params, self._acceptance.max_range_m)
         self._bearings = BearingCheck()
         self._absurd_ranges, self._absurd_bearings = RecentShare(), RecentShare()
+        self.objection = None
         self.forget_motion()
 
     def forget_motion(self) -> None:
@@ -326,9 +329,7 @@ class MeasurementScreen:
         self._frozen_range, self._frozen_bearing = FrozenValue(least_m), FrozenValue()
         self._frozen_power = FrozenValue(FROZEN_POWER_M)
 
-    @property
-    def objection(self) -> Objection | None:
-        """Reason not to use such values for guidance; None: there is none."""
+    def _present_objection(self) -> Objection | None:
         if self._units.is_rejected or self._absurd_ranges.is_most:
             return Objection.RANGE_UNIT
         if self._bearings.is_rejected or self._absurd_bearings.is_most:
@@ -355,6 +356,8 @@ class MeasurementScreen:
             self._recent[identity] = None
             if len(self._recent) > DUPLICATE_MEMORY:
                 del self._recent[next(iter(self._recent))]
+        else:
+            self.objection = self._present_objection()
         return reason
 
     def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
@@ -382,6 +385,7 @@ class MeasurementScreen:
         was_plausible = self.objection is None
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)
+        self.objection = self._present_objection()
         is_new = was_plausible and self.objection is not None
         passed, power_dbm = measurement, measurement.power_dbm
         if range_reason is not None:

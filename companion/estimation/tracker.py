@@ -392,8 +392,13 @@ class TargetTracker:
 
     def objection(self, now_s: float) -> Objection | None:
         """Return why the estimate must not be used for guidance; None: it may be used."""
-        objection = self._screen.objection or self.integrity.objection(now_s)
-        if objection is None and self.hypotheses and self.integrity.is_recovering(self.accepted):
+        integrity = self.integrity
+        if self._screen.objection is not None:
+            return self._screen.objection
+        if not (integrity.restarts or integrity.is_lost):
+            return None
+        objection = integrity.objection(now_s)
+        if objection is None and self.hypotheses and integrity.is_recovering(self.accepted):
             return Objection.RECOVERING
         return objection
 

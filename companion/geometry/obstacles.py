@@ -76,35 +76,31 @@ class FreeSpace:
 
     def allows(self, point: Point) -> bool:
         """Return True if a point is free of every border by the margin; never on a border."""
-        if not self._is_inside(point):
-            return False
         least_m = max(self.margin_m, GRAZE_M)
-        for edge in self._near(point, point, least_m + GRAZE_M):
-            if not math.dist(point, nearest_on_segment(*edge, point)) >= least_m:
-                return False
-        return True
+        near = self._edges_near(point, point, least_m + GRAZE_M)
+        if not near:
+            return near is not None
+        return all(math.dist(point, nearest_on_segment(*edge, point)) >= least_m for edge in near)
 
     def is_clear(self, start: Point, end: Point) -> bool:
         """Return True if the whole straight leg keeps the margin, its ends included."""
-        if not self._is_inside(start):
-            return False
         reach_m = max(self.margin_m - GRAZE_M, GRAZE_M)
-        for edge in self._near(start, end, reach_m):
-            if are_within(reach_m, start, end, *edge):
-                return False
-        return True
+        near = self._edges_near(start, end, reach_m)
+        if not near:
+            return near is not None
+        return not any(are_within(reach_m, start, end, *edge) for edge in near)
 
-    def _is_inside(self, point: Point) -> bool:
-        """Return True if a point is inside of every fence and of no keep-out, at any distance."""
+    def _edges_near(self, start: Point, end: Point, reach_m: float) -> list[Segment] | None:
+        """Return the edges whose bounding box is within reach of a leg's: in practice few.
+
+        None: the leg does not start inside of every fence and outside of every keep-out.
+        """
         for fence in self._fences:
-            if not contains(fence, point):
-                return False
-        return not self.keep_out_enu_m or not any(
-            contains(polygon, point) for polygon in self.keep_out_enu_m
-        )
-
-    def _near(self, start: Point, end: Point, reach_m: float) -> list[Segment]:
-        """Return the edges whose bounding box is within reach of a leg's: in practice few."""
+            if not contains(fence, start):
+                return None
+        for keep_out in self.keep_out_enu_m:
+            if contains(keep_out, start):
+                return None
         west, east = min(start[0], end[0]) - reach_m, max(start[0], end[0]) + reach_m
         south, north = min(start[1], end[1]) - reach_m, max(start[1], end[1]) + reach_m
         near = []

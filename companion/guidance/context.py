@@ -11,6 +11,7 @@ failsafe follows.
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections import Counter, deque
 from pathlib import PurePath
@@ -37,7 +38,7 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.searching import Searching
 from companion.guidance.flight.vehicle import VehicleView
-from companion.guidance.messages import FindingMessages, RateLimited, StateMessages
+from companion.guidance.messages import RateLimited, StateMessages
 from companion.guidance.phases import (
     HAS_VEHICLE,
     IN_CONTROL,
@@ -65,6 +66,7 @@ class Containment(Watch):
         self.errors: Counter[str] = Counter()
         self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
         self._texts = RateLimited(TEXT_PERIOD_S)
+        self.is_idle = True
 
     def step(self, now_s: float) -> Finding | None:
         """Return the finding that recent errors cause, or None."""
@@ -78,6 +80,7 @@ class Containment(Watch):
 
     def note(self, part: str, error: Exception, now_s: float) -> list[Command]:
         """Count an error that a part raised, and return the log record and the text due."""
+        self.is_idle = False
         self.errors[part] += 1
         self._times_s.append(now_s)
         what = f"{type(error).__name__}: {error}"
@@ -96,14 +99,56 @@ class PassingHold(Watch):
     def __init__(self) -> None:
         self._finding: Finding | None = None
         self._until_s = 0.0
+        self.is_idle = True
 
     def hold(self, finding: Finding, until_s: float) -> None:
         """Hold with this finding until a time."""
-        self._finding, self._until_s = finding, until_s
+        self._finding, self._until_s, self.is_idle = finding, until_s, False
 
     def step(self, now_s: float) -> Finding | None:
         """Return the finding until its hold is over."""
-        return self._finding if now_s < self._until_s else None
+        self.is_idle = now_s >= self._until_s
+        return None if self.is_idle else self._finding
+
+
+CLEARED_AFTER_S = 1.0
+"""Time without the announced state after which it is over."""
+URGENT = frozenset({Reason.NO_LINK})
+REANNOUNCE_S = 10.0
+"""Shortest time between two announcements of the same state while states alternate."""
+
+
+class FindingMessages:
+    """Decides when a finding in control is announced; None stands for "no finding"."""
+
+    def __init__(self) -> None:
+        self.announced: Finding | None = None
+        """The finding that was announced last."""
+        self._seen_s = -math.inf
+        """Last time at which the announced state was current."""
+        self._announced_s: dict[Reason | None, float] = {}
+
+    def take(self, finding: Finding | None, now_s: float) -> bool:
+        """Record the current finding, or None; return True if it has to be announced."""
+        before = self.announced
+        reason = None if finding is None else finding.reason
+        if reason is (None if before is None else before.reason):
+            self._seen_s = now_s
+            return False
+        since_announced_s = now_s - self._announced_s.get(reason, -math.inf)
+        is_worse = _severity(finding) > _severity(before) or reason in URGENT
+        is_worse = is_worse and since_announced_s >= CLEARED_AFTER_S
+        if not (
+            is_worse or now_s - self._seen_s >= CLEARED_AFTER_S or since_announced_s >= REANNOUNCE_S
+        ):
+            return False
+        self.announced, self._seen_s = finding, now_s
+        self._announced_s[reason] = now_s
+        return True
+
+
+def _severity(finding: Finding | None) -> int:
+    return 0 if finding is None else int(finding.verdict)
 
 
 class SessionContext:
@@ -197,10 +242,11 @@ class SessionContext:
 
         A report alone may be false in flight, or old.
         """
-        height_m, floor_m = self.vehicle.height_m, self.guard.limits.envelope.altitude_min_m
-        is_high = height_m is not None and height_m >= floor_m
-        is_down = self.vehicle.landed is LandedState.ON_GROUND and not is_high
-        return self.vehicle.is_armed and not is_down
+        vehicle, floor_m = self.vehicle, self.guard.limits.envelope.altitude_min_m
+        if vehicle.landed is not LandedState.ON_GROUND or not vehicle.is_armed:
+            return vehicle.is_armed
+        height_m = vehicle.height_m
+        return height_m is not None and height_m >= floor_m
 
     @property
     def is_launch_wanted(self) -> bool:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import (
-    PositionSetpoint,
-)
+from companion.domain import PositionEnu, PositionSetpoint
 from companion.guard.gate import GuardReason
-from companion.guidance.authority.control_authority import is_silence_due
+from companion.guidance.authority.control_authority import FOLLOW_UP_S
 from companion.guidance.authority.launch import LaunchView
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
@@ -20,9 +18,8 @@ from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import (
     FenceMessages,
     GuardMessages,
-    TrackMessages,
 )
-from companion.guidance.phases import FLYING, IN_CONTROL, Phase, Trigger
+from companion.guidance.phases import FLYING, IN_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.reporting import Reporting
 
 TICK_S = 0.05
@@ -33,6 +30,8 @@ READY_AGAIN_S = 3.0
 """Interruptions shorter than this are not announced each time."""
 UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
+TRACK_STEP_M = 0.5
+"""Positions nearer than this to the logged one are not logged: a hover wanders by as much."""
 SILENCE_S = 0.3
 """After a longer pause the vehicle may have moved: the first setpoint is its position."""
 
@@ -50,13 +49,13 @@ class ControlTick:
         self._context = context
         self._watches = watches
         self._handover = handover
-        self._scheduler = scheduler
         self.reporting = Reporting(context, watches.battery, scheduler)
         self._permit = LaunchPermit(context)
         self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
         self._guard_messages = GuardMessages()
         self._fence_messages = FenceMessages()
-        self._track_messages = TrackMessages()
+        self._logged_enu_m: PositionEnu | None = None
+        """Vehicle position that was logged last."""
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf
@@ -75,9 +74,13 @@ class ControlTick:
         self._advance_phase(finding, now_s)
         if context.guard.limits.fence is not self._fence_messages.logged:
             self._record_fence()
-        position = self._track_messages.record(context.vehicle.position_enu_m)
-        if position is not None:
-            context.record("position", **position)
+        position = context.vehicle.position_enu_m
+        logged = self._logged_enu_m
+        if position is not None and (
+            logged is None or not math.dist(position, logged) < TRACK_STEP_M
+        ):
+            self._logged_enu_m = position
+            context.record("position", position_enu_m=tuple(round(each, 2) for each in position))
         phase = context.authority.phase
         if phase in FLYING and context.flight_plan.is_due(now_s):
             context.plan_now(now_s)
@@ -180,7 +183,6 @@ class ControlTick:
             case Phase.HANDBACK:
                 self._handover.continue_hand_back(now_s)
         self.reporting.tick(now_s)
-        self._scheduler.announce()
 
     def _wait(self, now_s: float, severity: Severity = Severity.INFO) -> None:
         context = self._context
@@ -255,7 +257,7 @@ class ControlTick:
         motion = vehicle.motion
         if motion is None:
             return None
-        if is_silence_due(context.authority, vehicle, context.launch, now_s):
+        if self._is_silence_due(now_s):
             return None
         is_fresh = vehicle.is_position_fresh(now_s)
         match context.authority.phase:
@@ -276,6 +278,20 @@ class ControlTick:
                     return steering.stand(motion)
                 return steering.stay(motion, dt_s)
         return None
+
+    def _is_silence_due(self, now_s: float) -> bool:
+        """Return True if no setpoint may be sent at this tick."""
+        context, authority = self._context, self._context.authority
+        vehicle, launch, phase = context.vehicle, context.launch, authority.phase
+        if phase not in STREAMING or not vehicle.mode_watch.is_known(now_s):
+            return True
+        if phase is Phase.FINISHED:
+            return authority.has_left_offboard or now_s - authority.since_s > FOLLOW_UP_S
+        if phase is Phase.STANDBY:
+            return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
+        if phase is Phase.LAUNCHING:
+            return launch is None or not launch.wants_stream
+        return False
 
 
 def _resumed_text(before: Finding | None) -> str:

@@ -84,6 +84,9 @@ class Finding:
 class Watch:
     """Base of all watches; every method does nothing unless a watch overrides it."""
 
+    is_idle: bool = False
+    """True while nothing is wrong that `step` could find, whatever the time: it is not called."""
+
     def handle(self, event: Event) -> None:
         """Apply an event."""
 

@@ -303,7 +303,8 @@ class Measuring:
 
     def tick(self, now_s: float) -> None:
         """Queue due measurements; fuse if there was no spare time between two control ticks."""
-        self._take_due(now_s)
+        if self._listener.waiting:
+            self._take_due(now_s)
         if not self._queue.by_emitter:
             self._queue.renew()
             return

@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import asdict, replace
 
-from companion.domain import EstimateState, PositionEnu, TargetEstimate, Waypoint, radii_text
+from companion.domain import EstimateState, TargetEstimate, Waypoint, radii_text
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screen import RejectReason
 from companion.estimation.target_motion import TargetMotion
@@ -23,7 +23,6 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import Announce, Command, Record, ReportResult, Severity
-from companion.guidance.findings import Finding, Reason
 
 
 def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
@@ -148,46 +147,6 @@ class RateLimited:
         return True
 
 
-CLEARED_AFTER_S = 1.0
-"""Time without the announced state after which it is over."""
-URGENT = frozenset({Reason.NO_LINK})
-REANNOUNCE_S = 10.0
-"""Shortest time between two announcements of the same state while states alternate."""
-
-
-class FindingMessages:
-    """Decides when a finding in control is announced; None stands for "no finding"."""
-
-    def __init__(self) -> None:
-        self.announced: Finding | None = None
-        """The finding that was announced last."""
-        self._seen_s = -math.inf
-        """Last time at which the announced state was current."""
-        self._announced_s: dict[Reason | None, float] = {}
-
-    def take(self, finding: Finding | None, now_s: float) -> bool:
-        """Record the current finding, or None; return True if it has to be announced."""
-        before = self.announced
-        reason = None if finding is None else finding.reason
-        if reason is (None if before is None else before.reason):
-            self._seen_s = now_s
-            return False
-        since_announced_s = now_s - self._announced_s.get(reason, -math.inf)
-        is_worse = _severity(finding) > _severity(before) or reason in URGENT
-        is_worse = is_worse and since_announced_s >= CLEARED_AFTER_S
-        if not (
-            is_worse or now_s - self._seen_s >= CLEARED_AFTER_S or since_announced_s >= REANNOUNCE_S
-        ):
-            return False
-        self.announced, self._seen_s = finding, now_s
-        self._announced_s[reason] = now_s
-        return True
-
-
-def _severity(finding: Finding | None) -> int:
-    return 0 if finding is None else int(finding.verdict)
-
-
 CAUTION = (
     EstimateState.SEARCHING,
     EstimateState.LOCALISED,
@@ -283,26 +242,6 @@ class FenceMessages:
         if fence is not None and fence.also_inside_enu_m:
             fields["also_inside_enu_m"] = fence.also_inside_enu_m
         return fields
-
-
-TRACK_STEP_M = 0.5
-"""Positions nearer than this to the logged one are not logged: a hover wanders by as much."""
-
-
-class TrackMessages:
-    """Records the vehicle's track."""
-
-    def __init__(self) -> None:
-        self._logged: PositionEnu | None = None
-
-    def record(self, position_enu_m: PositionEnu | None) -> dict[str, object] | None:
-        """Return the vehicle's position for the log; None: it is about the logged one."""
-        if position_enu_m is None or (
-            self._logged is not None and math.dist(position_enu_m, self._logged) < TRACK_STEP_M
-        ):
-            return None
-        self._logged = position_enu_m
-        return {"position_enu_m": tuple(round(each, 2) for each in position_enu_m)}
 
 
 class MotionMessages:

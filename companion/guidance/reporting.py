@@ -2,6 +2,11 @@
 
 A target counts as found once the stop rule is met. Targets are reported as they are found, or
 because the battery is low or the search over.
+
+Theory of operation of the stop rules. Random errors fall with the number of measurements; errors of
+a place or of the whole flight do not: the height of the ground, GNSS, walls that stay where they
+are. So R95 settles at a radius that depends on the radio, the antenna and the site, and cannot be
+predicted. If that is above the radius to stop at, further crossings bring no information.
 """
 
 from __future__ import annotations
@@ -9,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from companion.domain import FlightMode, PositionEnu, TargetEstimate
+from companion.domain import BatteryLevel, EstimateState, FlightMode, PositionEnu, TargetEstimate
 from companion.estimation.tracker import TargetTracker
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
@@ -17,7 +22,87 @@ from companion.guidance.health.autopilot_health import LEG_S, BatteryWatch
 from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import radius_texts, result_of
 from companion.guidance.phases import FLYING, IN_CONTROL, Phase, Trigger
-from companion.guidance.stop_rules import SettledRule, StopRule
+
+
+class StopRule:
+    """Met once the estimate names one position within a radius for long enough without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def reset(self) -> None:
+        """Restart the confirmation time."""
+        self._since_s = None
+
+    def is_met(
+        self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
+    ) -> bool:
+        """Return True if the target is found; a missing estimate restarts the confirmation time."""
+        is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
+        if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
+            self._since_s = None
+            return False
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s >= confirm_s
+
+
+IMPROVED_SHARE = 0.92
+"""R95 that is not below this share of its mark has not improved."""
+WORSE_RATIO = 1.5
+"""R95 that has grown by more sets a new mark: measurements contradicted the old one."""
+MOST_SETTLED_M = 100.0
+"""R95 above this is no position, unless no better one was requested (`localised_r95_m`)."""
+ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
+
+
+class SettledRule:
+    """Met once R95 of one position no longer improves although measurements arrive.
+
+    Only time between measurements that were accepted in flight counts: while the vehicle holds, or
+    its radio or its clock fails, there is no information, and a constant R95 is no evidence.
+    """
+
+    def __init__(self) -> None:
+        self._measuring_s = 0.0
+        """Time between accepted measurements."""
+        self._heard_s: float | None = None
+        """Time of the last one; None: the vehicle held since then, or measurements paused for
+        long."""
+        self._mark: tuple[float, float] | None = None
+        """That time at the last improvement of R95, and its value then."""
+
+    def reset(self) -> None:
+        """Drop the mark."""
+        self._mark = None
+
+    def is_met(
+        self, estimate: TargetEstimate | None, heard_s: float | None, settle_s: float
+    ) -> bool:
+        """Return True if R95 has not improved for `settle_s`; a missing estimate stops the time.
+
+        Args:
+            estimate: None while the plan is not followed, or no measurements arrive.
+            heard_s: Time of the last accepted measurement.
+            settle_s: Time between measurements that must pass without improvement.
+        """
+        if estimate is None or heard_s is None:
+            self._heard_s = None
+            return False
+        if self._heard_s is not None:
+            self._measuring_s += max(0.0, heard_s - self._heard_s)
+        self._heard_s = heard_s
+        r95_m = estimate.r95_m
+        is_localised = estimate.state is EstimateState.LOCALISED
+        if estimate.state not in ONE_PLACE or (r95_m > MOST_SETTLED_M and not is_localised):
+            self._mark = None
+            return False
+        if self._mark is None or not (
+            IMPROVED_SHARE * self._mark[1] <= r95_m <= WORSE_RATIO * self._mark[1]
+        ):
+            self._mark = (self._measuring_s, r95_m)
+        return self._measuring_s - self._mark[0] >= settle_s
+
 
 SAME_LEG_M = 1.0
 """A waypoint that moves by less is the same one, refined."""
@@ -57,6 +142,8 @@ class Reporting:
         heard_s = context.emitters.current.last_accepted_s
         is_fresh = heard_s is not None and now_s - heard_s <= params.ranging_timeout_s
         is_reportable = is_fresh and context.emitters.current.params.is_range_calibrated
+        if self._battery.level < BatteryLevel.LOW:
+            self._leg = None
         flown = context.estimate if context.authority.phase in FLYING and is_reportable else None
         head = self._head(flown, heard_s, now_s)
         if head is not None and flown is not None:
@@ -70,12 +157,14 @@ class Reporting:
                 self._scheduler.follow(now_s)
             else:
                 self._finish(FlightMode(params.on_localised), now_s)
-        elif self._is_battery_end(now_s):
+        elif self._battery.level >= BatteryLevel.LOW and self._is_battery_end(now_s):
             self._battery.note_mission_end()
             self._end_early(now_s)
             self._finish(self._low_battery_mode, now_s)
         elif context.authority.phase in FLYING and self._is_searching(now_s, is_fresh=is_fresh):
             self._end_search(now_s)
+        if not context.emitters.is_single:
+            self._scheduler.announce()
 
     @property
     def _low_battery_mode(self) -> FlightMode:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from companion.domain import Autopilot, FlightMode, PositionSetpoint
 from companion.errors import LocalProtocolError
-from companion.geometry.coordinates import LocalOrigin, ned_from_enu
+from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.commands import TakeOff
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.mav import dialect
@@ -134,12 +134,15 @@ def heartbeat() -> Message:
 def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Message:
     """Return SET_POSITION_TARGET_LOCAL_NED in frame LOCAL_NED, position with or without yaw."""
     mask, rest = _checked_fields(setpoint)
+    east_m, north_m, up_m = setpoint.position_enu_m
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms(now_s),
         *target,
         mavlink.MAV_FRAME_LOCAL_NED,
         mask,
-        *ned_from_enu(setpoint.position_enu_m),
+        north_m,
+        east_m,
+        -up_m,
         *rest,
     )
 

@@ -15,7 +15,6 @@ from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.phases import (
     IN_CONTROL,
     OUT_OF_CONTROL,
-    STREAMING,
     Phase,
     Trigger,
     next_phase,
@@ -216,22 +215,6 @@ class Authority:
 
 FOLLOW_UP_S = 5.0
 """Longest time the autopilot may take to enter the mode that follows the report."""
-
-
-def is_silence_due(
-    authority: Authority, vehicle: VehicleView, launch: Launch | None, now_s: float
-) -> bool:
-    """Return True if no setpoint may be sent at this tick."""
-    phase = authority.phase
-    if phase not in STREAMING or not vehicle.mode_watch.is_known(now_s):
-        return True
-    if phase is Phase.FINISHED:
-        return authority.has_left_offboard or now_s - authority.since_s > FOLLOW_UP_S
-    if phase is Phase.STANDBY:
-        return not (vehicle.wants_prestream and vehicle.is_position_fresh(now_s))
-    if phase is Phase.LAUNCHING:
-        return launch is None or not launch.wants_stream
-    return False
 
 
 def hand_back_mode(

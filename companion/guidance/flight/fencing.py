@@ -97,11 +97,11 @@ class Fencing:
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
         self._reported_limits = FenceLimits()
         """The same as it was reported last."""
-        self._home_enu_m: Point | None = None
+        self.home_enu_m: Point | None = None
         """Centre of the autopilot's circular fence, east and north."""
         self.is_urgent = False
         """True if the autopilot's fence has to be downloaded again at once."""
-        self._is_airborne = self._is_in_control = False
+        self.is_airborne = self.is_in_control = False
         self._settle()
 
     @property
@@ -192,7 +192,7 @@ class Fencing:
 
     def recall_flown(self, fences: tuple[GeoFence, ...], limits: FenceLimits | None) -> None:
         """Restore the autopilot's fences of the flight that an earlier process began."""
-        self._is_airborne = True
+        self.is_airborne = True
         self._flown += tuple(fence for fence in fences if fence not in self._flown)
         if limits is not None:
             self._limits = self._limits.strictest(limits)
@@ -202,11 +202,11 @@ class Fencing:
         """Set the autopilot's fence; if the download fails in the air, the known one holds."""
         self.is_urgent = False
         is_unread = event.problem is not None and not event.is_unusable
-        if is_unread and self._is_airborne and self._read is not None:
+        if is_unread and self.is_airborne and self._read is not None:
             return
         self._read, self.is_doubted = event, False
         fences: tuple[GeoFence, ...] = () if event.fence is None else (event.fence,)
-        if self._is_airborne:
+        if self.is_airborne:
             fences += tuple(fence for fence in self._flown if fence not in fences)
         self._flown = fences
         self._settle()
@@ -215,19 +215,19 @@ class Fencing:
         """Set the limits by the autopilot's parameters; in the air no limit gets wider."""
         if self.is_followed:
             self._reported_limits = limits
-            self._limits = self._limits.strictest(limits) if self._is_airborne else limits
+            self._limits = self._limits.strictest(limits) if self.is_airborne else limits
             self._settle()
 
     def set_home(self, home_enu_m: Point) -> None:
         """Set the autopilot's home, east and north; in the air a circle about the old one stays."""
-        before = self._home_enu_m
+        before = self.home_enu_m
         if before == home_enu_m:
             return
         circle = self._circle
-        self._home_enu_m = home_enu_m
+        self.home_enu_m = home_enu_m
         if self._limits.radius_m is None:
             return
-        if self._is_airborne and before and math.dist(before, home_enu_m) > TOLERANCE_M:
+        if self.is_airborne and before and math.dist(before, home_enu_m) > TOLERANCE_M:
             self._flown += circle
         self._settle()
 
@@ -240,12 +240,10 @@ class Fencing:
         self.is_urgent = self.is_followed
 
     def follow(self, *, is_airborne: bool, is_in_control: bool) -> None:
-        """Update the flight state: control downloads the fence, and landing widens it."""
-        if (is_airborne, is_in_control) == (self._is_airborne, self._is_in_control):
-            return
-        if is_in_control and not self._is_in_control:
+        """Update a flight state that changed: control downloads the fence, landing widens it."""
+        if is_in_control and not self.is_in_control:
             self.read_again()
-        self._is_airborne, self._is_in_control = is_airborne, is_in_control
+        self.is_airborne, self.is_in_control = is_airborne, is_in_control
         if not is_airborne:
             self._flown = () if self.autopilot_fence is None else (self.autopilot_fence,)
             self._limits = self._reported_limits
@@ -262,17 +260,17 @@ class Fencing:
         So do the fences of this flight, as it may restart in the air, unless it is another vehicle.
         """
         if is_other:
-            self._flown, self._limits, self._is_airborne = (), FenceLimits(), False
-        elif self._is_airborne:
+            self._flown, self._limits, self.is_airborne = (), FenceLimits(), False
+        elif self.is_airborne:
             self._flown = self.flown
-        self._origin = self._read = self._home_enu_m = None
+        self._origin = self._read = self.home_enu_m = None
         self._reported_limits, self.is_doubted = FenceLimits(), False
         self._settle()
 
     @property
     def _circle(self) -> tuple[GeoFence, ...]:
         """The circle about home as a fence in the world, if there is one and its place is known."""
-        radius_m, home, origin = self._limits.radius_m, self._home_enu_m, self._origin
+        radius_m, home, origin = self._limits.radius_m, self.home_enu_m, self._origin
         if radius_m is None or home is None or origin is None:
             return ()
         middle_deg = origin.geodetic_from_enu((*home, 0.0))[:2]
@@ -301,7 +299,7 @@ class Fencing:
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
         """Return the fence limited to the autopilot's circle about home, if that cuts into it."""
-        radius_m, home = self._limits.radius_m, self._home_enu_m
+        radius_m, home = self._limits.radius_m, self.home_enu_m
         if radius_m is None or home is None:
             return fence
         margin_m = max(self.plan.margin_m, self._limits.margin_m)
@@ -376,7 +374,7 @@ class Fencing:
             return False
         if self.plan.policy is FencePolicy.USE:
             return theirs is not self._flown[0]
-        return self._is_in_control and self._difference(theirs) is not None
+        return self.is_in_control and self._difference(theirs) is not None
 
     def _is_circle(self, theirs: GeoFence) -> bool:
         """Return True if a fence of this flight is the circle about home that holds now."""
@@ -433,12 +431,12 @@ class Fencing:
             return
         theirs = self._autopilots()
         if theirs is None:
-            if plan.policy is FencePolicy.REQUIRE and not self._is_in_control:
+            if plan.policy is FencePolicy.REQUIRE and not self.is_in_control:
                 raise ValueError("the autopilot has no fence, and limits.autopilot_fence wants one")
             self.note = "autopilot has no fence: only the guard keeps ours"
             return
         differs = self._difference(theirs)
-        if differs is not None and not self._is_in_control:
+        if differs is not None and not self.is_in_control:
             raise ValueError(f"the autopilot's fence differs: {differs}")
 
     def _difference(self, theirs: GeoFence) -> str | None:

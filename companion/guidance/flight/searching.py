@@ -90,6 +90,8 @@ class Searching:
         """True if the radio has sent anything at all."""
         self.is_counting = True
         """False once no emitter is sought that was not heard."""
+        self.is_over = False
+        """True if nothing is counted any more, and all work on the cells is done."""
         self.progress = Progress((), (), ())
 
     @property
@@ -102,11 +104,6 @@ class Searching:
         """Origin of the frame of the grid."""
         return self._origin
 
-    @property
-    def is_over(self) -> bool:
-        """True if nothing is counted any more, and all work on the cells is done."""
-        return not self.is_counting and (self._area is None or self._is_final)
-
     def tick(
         self,
         now_s: float,
@@ -115,6 +112,17 @@ class Searching:
         progress: Progress,
     ) -> str | None:
         """Count the time since the last control tick; return a warning about the area, once."""
+        problem = self._listen(now_s, vehicle, fence_enu_m, progress)
+        self.is_over = not self.is_counting and (self._area is None or self._is_final)
+        return problem
+
+    def _listen(
+        self,
+        now_s: float,
+        vehicle: VehicleView,
+        fence_enu_m: Corners | None,
+        progress: Progress,
+    ) -> str | None:
         passed_s, self._ticked_s = now_s - self._ticked_s, now_s
         self.progress = progress
         problem = None

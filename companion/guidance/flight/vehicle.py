@@ -89,7 +89,7 @@ class ModeWatch:
 
     def tick(self, now_s: float) -> None:
         """Mark the mode as unconfirmed after a long silence."""
-        if self._is_silent(now_s) and not self.is_in_doubt:
+        if not self.is_in_doubt and self._is_silent(now_s):
             self.distrust(now_s)
 
     def distrust(self, now_s: float) -> None:

@@ -47,6 +47,7 @@ class BatteryWatch(Watch):
         self._agreed = 0
         self._was_handed_back = False
         self._has_ended_mission = False
+        self.is_idle = True
 
     def handle(self, event: events.Event) -> None:
         """Apply an event about the battery."""
@@ -67,6 +68,7 @@ class BatteryWatch(Watch):
                 self.charge_pct = None
                 self._agreed = 0
                 self.note_flight_end()
+        self.is_idle = self.level is not BatteryLevel.CRITICAL
 
     @property
     def is_low(self) -> bool:
@@ -131,7 +133,8 @@ class _Condition:
     """A condition that comes and goes; it ends only after `GOOD_S` without it."""
 
     def __init__(self) -> None:
-        self._since_s: float | None = None
+        self.since_s: float | None = None
+        """Time of its first report; None: there is none, or it was ended."""
         self._bad_s = 0.0
         """Time of the last report of the condition."""
         self._good_s: float | None = None
@@ -142,20 +145,20 @@ class _Condition:
             self.clear()
         if is_bad:
             self._good_s, self._bad_s = None, now_s
-            if self._since_s is None:
-                self._since_s = now_s
-        elif self._since_s is not None and self._good_s is None:
+            if self.since_s is None:
+                self.since_s = now_s
+        elif self.since_s is not None and self._good_s is None:
             self._good_s = now_s
 
     def lasted_s(self, now_s: float) -> float | None:
         """Return how long the condition has lasted, in seconds; None: it is over."""
-        if self._since_s is None or self._is_over(now_s):
+        if self.since_s is None or self._is_over(now_s):
             return None
-        return (now_s if self._good_s is None else self._bad_s) - self._since_s
+        return (now_s if self._good_s is None else self._bad_s) - self.since_s
 
     def clear(self) -> None:
         """End the condition at once."""
-        self._since_s = self._good_s = None
+        self.since_s = self._good_s = None
 
     def _is_over(self, now_s: float) -> bool:
         return self._good_s is not None and now_s - self._good_s >= GOOD_S
@@ -185,6 +188,7 @@ class HealthWatch(Watch):
         self._is_failsafe = False
         self._accepted_failsafe = False
         """True if the failsafe was active when control was handed over: the operator knew."""
+        self.is_idle = True
 
     def handle(self, event: events.Event) -> None:
         """Apply an event about health; ignore others."""
@@ -210,6 +214,10 @@ class HealthWatch(Watch):
                 self._receivers.clear()
                 self._good_position_s = -math.inf
                 self._is_failsafe = self._accepted_failsafe = False
+        conditions = (self._doubt, self._no_fix, self._no_position)
+        self.is_idle = not self._is_failsafe and all(
+            condition.since_s is None for condition in conditions
+        )
 
     def begin(self, now_s: float) -> None:
         """Note the start of control."""
@@ -257,15 +265,16 @@ class LandingWatch(Watch):
 
     def __init__(self) -> None:
         self._throttle: events.ThrottleReported | None = None
-        self._is_doubted = False
+        self.is_idle = True
+        """True unless a landing is doubted."""
         self._height_m = 0.0
 
     def doubts(self, event: events.LandedStateChanged, height_m: float, floor_m: float) -> bool:
         """Return True if a landing is doubted at a height above home; `floor_m` is the band's."""
         is_high = event.landed is LandedState.ON_GROUND and height_m >= floor_m
-        self._is_doubted = is_high and not self._is_idle(event.time_s)
+        self.is_idle = not is_high or self._has_idle_throttle(event.time_s)
         self._height_m = height_m
-        return self._is_doubted
+        return not self.is_idle
 
     def handle(self, event: events.Event) -> None:
         """Apply a throttle report; a restart of the autopilot ends every doubt."""
@@ -273,22 +282,22 @@ class LandingWatch(Watch):
             case events.ThrottleReported():
                 self._throttle = event
             case events.AutopilotRestarted():
-                self._throttle, self._is_doubted = None, False
+                self._throttle, self.is_idle = None, True
 
     def begin(self, now_s: float) -> None:
         """Start control without earlier doubts."""
         del now_s
-        self._is_doubted = False
+        self.is_idle = True
 
     def step(self, now_s: float) -> Finding | None:
         """Return a hold while the autopilot reports a landing that is doubted."""
         del now_s
-        if not self._is_doubted:
+        if self.is_idle:
             return None
         text = f"autopilot reports landed at {self._height_m:.0f} m: take over if it descends"
         return Finding(Verdict.HOLD, Reason.LANDED_DOUBTED, text)
 
-    def _is_idle(self, now_s: float) -> bool:
+    def _has_idle_throttle(self, now_s: float) -> bool:
         throttle = self._throttle
         is_fresh = throttle is not None and now_s - throttle.time_s <= THROTTLE_S
         return throttle is not None and is_fresh and throttle.share <= IDLE_THROTTLE

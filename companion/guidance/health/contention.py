@@ -225,6 +225,7 @@ class StickWatch(Watch):
         self._rated: events.RcStatusReported | None = None
         self._rest_is_next = False
         """True once the transmitter is heard again: the next report shows where its sticks rest."""
+        self.is_idle = True
 
     def begin(self, now_s: float) -> None:
         """Note the start of control: the sticks rest where they are."""
@@ -232,6 +233,7 @@ class StickWatch(Watch):
         is_fresh = latest is not None and now_s - latest.time_s <= STALE_S
         self._rest = latest.deflections if latest is not None and is_fresh else None
         self._moved_s = self._seen_moved_s = None
+        self.is_idle = True
 
     def handle(self, event: events.Event) -> None:
         """Apply the stick positions, and the health of the RC input."""
@@ -252,7 +254,7 @@ class StickWatch(Watch):
             return
         if self._moved_s is None:
             self._moved_s = event.time_s
-        self._seen_moved_s = event.time_s
+        self._seen_moved_s, self.is_idle = event.time_s, False
 
     def step(self, now_s: float) -> Finding | None:
         """Return the finding of the sticks; those no longer reported count as not moved."""
@@ -278,6 +280,7 @@ class StickWatch(Watch):
         was_lost, self._rated = self._is_lost, event
         if self._is_lost:
             self._latest = self._moved_s = self._seen_moved_s = None
+            self.is_idle = True
         elif was_lost:
             self._rest = None
             self._rest_is_next = True

@@ -154,6 +154,7 @@ class JumpWatch(Watch):
         self._newest: tuple[float, PositionEnu] | None = None
         """Time and size of the newest jump."""
         self._arrived_s = -math.inf
+        self.is_idle = True
 
     @property
     def is_in_doubt(self) -> bool:
@@ -172,7 +173,7 @@ class JumpWatch(Watch):
         is_unsafe = motion is not None and may_breach(limits, motion, self._jumped_m)
         is_safe = phase in IN_CONTROL and motion is not None and not is_unsafe
         if is_safe or phase not in HAS_VEHICLE:
-            self._jumped_m = None
+            self._jumped_m, self.is_idle = None, True
             return None
         if not is_unsafe:
             return None
@@ -215,7 +216,7 @@ class JumpWatch(Watch):
         self._newest = (event.time_s, jump_m)
         self._context.steering.forget_setpoint()
         (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
-        self._jumped_m = (e + de, n + dn, u + du)
+        self._jumped_m, self.is_idle = (e + de, n + dn, u + du), False
         text = f"vehicle position jumped by {math.hypot(*jump_m):.1f} m"
         self._hold(text, before_s, event.time_s)
 
@@ -266,7 +267,8 @@ class JumpWatch(Watch):
         self._move_targets(rest_m, 0.0, 0.0)
         if is_moved and self._jumped_m is not None:
             left_m = _minus(self._jumped_m, moved_m)
-            self._jumped_m = None if math.hypot(*left_m) <= LEAST_STEP_M else left_m
+            self.is_idle = math.hypot(*left_m) <= LEAST_STEP_M
+            self._jumped_m = None if self.is_idle else left_m
         elif not is_moved:
             context.steering.shift(rest_m)
         context.flight_plan.forget()

@@ -22,7 +22,7 @@ from companion.guidance import events
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.events import OperatorCommand
-from companion.guidance.findings import Finding, Reason, Verdict, Watch, worst
+from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch, LandingWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.position_jumps import JumpWatch
@@ -82,7 +82,7 @@ class InputWatch(Watch):
             self._is_dropout = False
         if self._lost is not None:
             return self._lost
-        if self._is_searching(now_s):
+        if context.flight_plan.is_search_due(estimate, now_s):
             return None
         if estimate is None or heard_s is None:
             return Finding(Verdict.HOLD, Reason.NO_RANGING_YET, "waiting for ranging")
@@ -100,16 +100,15 @@ class InputWatch(Watch):
         """
         context = self._context
         estimate, heard_s = context.estimate, context.emitters.current.last_accepted_s
-        if estimate is None or heard_s is None or self._is_searching(now_s):
+        if estimate is None or heard_s is None:
+            return 1.0
+        if context.flight_plan.is_search_due(estimate, now_s):
             return 1.0
         age_s = now_s - heard_s
         if age_s <= context.params.degraded_after_s:
             return 1.0
         limit_m = context.params.coast_sigma_max_m
         return COAST_SHARE * max(0.0, 1.0 - self.coasting_sigma_m(estimate, age_s) / limit_m)
-
-    def _is_searching(self, now_s: float) -> bool:
-        return self._context.flight_plan.is_search_due(self._context.estimate, now_s)
 
     def missing(self, now_s: float) -> Finding | None:
         """Return a finding for link, mode, position or home if one is missing now."""
@@ -183,6 +182,7 @@ class OperatorCommandWatch(Watch):
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._finding: Finding | None = None
+        self.is_idle = True
 
     def objection(self, command: OperatorCommand) -> str | None:
         """Return why a command would have no effect now, in a few words; None: it has one."""
@@ -231,13 +231,14 @@ class OperatorCommandWatch(Watch):
             case OperatorCommand.GRANT:
                 context.enter(Trigger.GRANTED, event.time_s)
                 text += f": switch to {context.vehicle.guided_name}"
+        self.is_idle = self._finding is None
         context.announce(Severity.NOTICE, text)
 
     def step(self, now_s: float) -> Finding | None:
         """Return the finding of the operator's command, which is dropped when control ends."""
         del now_s
         if self._context.authority.phase not in IN_CONTROL:
-            self._finding = None
+            self._finding, self.is_idle = None, True
         return self._finding
 
 
@@ -270,14 +271,16 @@ class FenceWatch(Watch):
         Hand back when that lasts.
         """
         context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
-        if vehicle.reported_home_enu_m is not None:
+        home_enu_m = vehicle.reported_home_enu_m
+        if home_enu_m is not None and home_enu_m[:2] != fencing.home_enu_m:
             before = fencing.note
-            fencing.set_home(vehicle.reported_home_enu_m[:2])
+            fencing.set_home(home_enu_m[:2])
             if fencing.note is not None and fencing.note != before:
                 context.warn(fencing.note)
         if vehicle.heartbeat is not None:  # after a restart of the autopilot it may still fly
-            is_in_control = context.authority.phase in IN_CONTROL
-            fencing.follow(is_airborne=context.is_airborne, is_in_control=is_in_control)
+            is_airborne, is_in_control = context.is_airborne, context.authority.phase in IN_CONTROL
+            if (is_airborne, is_in_control) != (fencing.is_airborne, fencing.is_in_control):
+                fencing.follow(is_airborne=is_airborne, is_in_control=is_in_control)
         if fencing.refusal is None and not fencing.is_doubted:
             self._wrong_since_s = None
             return None
@@ -367,12 +370,14 @@ class Watches:
         if phase is Phase.WAITING and not self._context.vehicle.is_armed:
             self.battery.note_flight_end()
         self._was_in_control, self._was_launching = is_in_control, phase is Phase.LAUNCHING
-        found = []
+        found: Finding | None = None
         for watch in self._all:
-            finding = watch.step(now_s)
-            if finding is not None and (is_in_control or watch in self._for_launch):
-                found.append(finding)
-        return worst(found) if is_in_control or phase is Phase.LAUNCHING else None
+            finding = None if watch.is_idle else watch.step(now_s)
+            if finding is None or not (is_in_control or watch in self._for_launch):
+                continue
+            if found is None or finding.verdict > found.verdict:
+                found = finding
+        return found if is_in_control or phase is Phase.LAUNCHING else None
 
     def note_handback(self, finding: Finding) -> None:
         """Note a hand-back for this finding."""

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from companion.guidance.context import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from companion.guidance.control import TICK_S
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.messages import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")

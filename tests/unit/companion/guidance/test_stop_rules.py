@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.guidance.stop_rules import MOST_SETTLED_M, SettledRule
+from companion.guidance.reporting import MOST_SETTLED_M, SettledRule
 
 SETTLE_S = 30.0
 
