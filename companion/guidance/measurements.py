@@ -289,11 +289,25 @@ class Measuring:
         """True while measurements are left to be fused."""
         return bool(self._queue.by_emitter)
 
-    def fuse_due(self, now_s: float) -> None:
-        """Queue measurements whose position is known, and fuse within the steps of this wake-up."""
-        self._take_due(now_s)
-        if self._queue.by_emitter:
-            self._advance(now_s)
+    def fuse_due(self, now_s: float, *, has_time: bool = True) -> None:
+        """Queue measurements whose position is known, and fuse within the steps of this wake-up.
+
+        With `has_time` false they only queue up.
+        """
+        due = self._listener.take_due(now_s) if self._listener.waiting else ()
+        if due:
+            own = self._context.vehicle.position_accuracy.accuracy(now_s)
+            for measurement in due:
+                if self._queue.add(Queued(measurement, now_s, own)):
+                    self._context.emitters.current.reject(RejectReason.TOO_MANY)
+        if not (has_time and self._queue.by_emitter):
+            return
+        try:
+            reports = self._queue.advance(self._context.emitters.current.emitter_id)
+            if reports:
+                self._follow_reports(reports, now_s)
+        except Exception as error:
+            self._contain(error, now_s)
 
     def go_on(self, now_s: float) -> None:
         """Fuse within the steps of another wake-up."""
@@ -304,33 +318,14 @@ class Measuring:
     def tick(self, now_s: float) -> None:
         """Queue due measurements; fuse if there was no spare time between two control ticks."""
         if self._listener.waiting:
-            self._take_due(now_s)
+            self.fuse_due(now_s, has_time=False)
         if not self._queue.by_emitter:
             self._queue.renew()
             return
         self._ticks_behind += 1
         if self._ticks_behind > 1:
             self._queue.renew()
-            self._advance(now_s)
-
-    def _take_due(self, now_s: float) -> None:
-        if not self._listener.waiting:
-            return
-        due = self._listener.take_due(now_s)
-        if not due:
-            return
-        own = self._context.vehicle.position_accuracy.accuracy(now_s)
-        for measurement in due:
-            if self._queue.add(Queued(measurement, now_s, own)):
-                self._context.emitters.current.reject(RejectReason.TOO_MANY)
-
-    def _advance(self, now_s: float) -> None:
-        try:
-            reports = self._queue.advance(self._context.emitters.current.emitter_id)
-            if reports:
-                self._follow_reports(reports, now_s)
-        except Exception as error:
-            self._contain(error, now_s)
+            self.fuse_due(now_s)
 
     def _contain(self, error: Exception, now_s: float) -> None:
         self._context.contain("estimator", error, now_s)

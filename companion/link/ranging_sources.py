@@ -142,30 +142,23 @@ class MavlinkRanging:
                 self._forget(next(iter(self._clocks)))
             clock = self._clocks[sender] = SenderClock()
             self._rates[sender] = SenderRate()
-        # a sender without a clock has no stamp to use or compare
-        has_stamp = message.time_usec != 0
-        at_s = self._time_of(message.time_usec / 1e6, clock, sender, now_s) if has_stamp else now_s
-        measurement = ranging_from_message(message, at_s)
+        stamp_s, measured_at_s = message.time_usec / 1e6, now_s
+        if stamp_s:  # a sender without a clock has no stamp to use or compare
+            measured_at_s = clock.read(stamp_s, now_s).time_s
+            own_offset_s = clock.timebase.offset_at_s(measured_at_s)
+            vehicle_offset_s = self._vehicle_clock.offset_at_s(measured_at_s)
+            self._on_vehicle_clock.discard(sender)
+            clock.timebase.known_rate = None
+            if own_offset_s is not None and vehicle_offset_s is not None:
+                later_s = own_offset_s - vehicle_offset_s
+                if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:
+                    self._on_vehicle_clock.add(sender)
+                    clock.timebase.known_rate = self._vehicle_clock.wild_rate
+                    measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
+        measurement = ranging_from_message(message, measured_at_s)
         if measurement is None or not self._rates[sender].acquire(measurement.emitter_id, now_s):
             return []
-        return [measurement if has_stamp else replace(measurement, stamp_us=None)]
-
-    def _time_of(
-        self, stamp_s: float, clock: SenderClock, sender: tuple[int, int], now_s: float
-    ) -> float:
-        """Return the time of a stamp on our clock, by the autopilot's clock if it is of that."""
-        measured_at_s = clock.read(stamp_s, now_s).time_s
-        own_offset_s = clock.timebase.offset_at_s(measured_at_s)
-        vehicle_offset_s = self._vehicle_clock.offset_at_s(measured_at_s)
-        self._on_vehicle_clock.discard(sender)
-        clock.timebase.known_rate = None
-        if own_offset_s is None or vehicle_offset_s is None:
-            return measured_at_s
-        if not -CLOCK_TOLERANCE_S <= own_offset_s - vehicle_offset_s <= MAX_LINK_DELAY_S:
-            return measured_at_s
-        self._on_vehicle_clock.add(sender)
-        clock.timebase.known_rate = self._vehicle_clock.wild_rate
-        return min(now_s, stamp_s + vehicle_offset_s)
+        return [measurement if stamp_s else replace(measurement, stamp_us=None)]
 
     def texts(self, now_s: float) -> list[Announce]:
         """Return warnings about senders whose measurements were dropped."""
@@ -185,20 +178,12 @@ class MavlinkRanging:
 
 def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasurement | None:
     """Return the measurement in a ranging message with its time on our clock; None: no ranging."""
-    match message:
-        case MAVLink_radio_ranging_message():
-            return _from_radio_ranging(message, measured_at_s)
-        case mavlink.MAVLink_landing_target_message():
-            if message.type == mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
-                return _from_landing_target(message, measured_at_s)
-        case mavlink.MAVLink_ranging_beacon_message():
-            return _from_ranging_beacon(message, measured_at_s)
-    return None
-
-
-def _from_radio_ranging(
-    message: MAVLink_radio_ranging_message, measured_at_s: float
-) -> RangingMeasurement:
+    if isinstance(message, mavlink.MAVLink_landing_target_message):
+        return _from_landing_target(message, measured_at_s)
+    if isinstance(message, mavlink.MAVLink_ranging_beacon_message):
+        return _from_ranging_beacon(message, measured_at_s)
+    if not isinstance(message, MAVLink_radio_ranging_message):
+        return None
     flags = message.flags
     # an arcsine is in the antenna's frame, never north-referenced, even without BODY_FRAME
     is_body = bool(flags & (BODY_FRAME | ARRAY_ANGLE))
@@ -232,8 +217,13 @@ def _from_radio_ranging(
 
 def _from_landing_target(
     message: mavlink.MAVLink_landing_target_message, measured_at_s: float
-) -> RangingMeasurement:
-    """Convert LANDING_TARGET: `distance` is slant, 0 unknown; `angle_x` is from the nose."""
+) -> RangingMeasurement | None:
+    """Convert LANDING_TARGET: `distance` is slant, 0 unknown; `angle_x` is from the nose.
+
+    Other targets than a radio beacon are no ranging.
+    """
+    if message.type != mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
+        return None
     range_m = _or_none(message.distance)
     return RangingMeasurement(
         emitter_id=message.target_num,
