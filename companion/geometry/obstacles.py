@@ -154,19 +154,16 @@ class FreeSpace:
                     yield from self._free_of(whole)
 
     def _free_of(self, arc: Arc) -> Iterator[Arc]:
-        cuts = {0.0, arc.turn_rad, *self._cuts(arc)}
-        for low, high in _runs(
-            sorted(cuts), lambda turn_rad: self._is_on_boundary(arc.at(turn_rad))
-        ):
-            yield Arc(arc.centre, arc.radius_m, arc.first_rad + low, high - low)
+        def is_on_boundary(turn_rad: float) -> bool:
+            place = arc.at(turn_rad)
+            for edge in self._edges:
+                if math.dist(nearest_on_segment(*edge, place), place) < self.margin_m:
+                    return False  # sooner than by `allows`: most points fail at one near edge
+            return self.allows(place)
 
-    def _is_on_boundary(self, place: Point) -> bool:
-        """Return the result of `allows`, sooner where most points fail: at a single near edge."""
-        is_near = (
-            math.dist(nearest_on_segment(*edge, place), place) < self.margin_m
-            for edge in self._edges
-        )
-        return not any(is_near) and self.allows(place)
+        cuts = {0.0, arc.turn_rad, *self._cuts(arc)}
+        for low, high in _runs(sorted(cuts), is_on_boundary):
+            yield Arc(arc.centre, arc.radius_m, arc.first_rad + low, high - low)
 
     def _cuts(self, arc: Arc) -> Iterator[float]:
         """Yield the turns along an arc where it may enter or leave the margin of an edge."""

@@ -49,7 +49,7 @@ from companion.guidance.phases import (
 )
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.planning.planner import Planner
-from companion.search.search_prior import SearchPrior
+from companion.search.first_contact import SearchPrior
 
 ERROR_HOLD_S = 1.0
 """Duration of the hold after an internal error."""

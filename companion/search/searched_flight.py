@@ -12,7 +12,7 @@ import numpy as np
 from companion.domain import Params, PositionEnu, Positive
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.detection_model import DetectionModel, DetectionParams
-from companion.search.learnt_reach import LearntReach
+from companion.search.first_contact import LearntReach
 from companion.search.outlines import gaps_of
 from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import Look, SearchedArea, SearchState, state_of

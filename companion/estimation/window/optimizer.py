@@ -244,7 +244,6 @@ class WindowOptimizer:
         yet."""
         self._older = OlderEvidence.none(self.map.size)
         self.due_at: float = due_at if self._params.enabled else math.inf
-        """Accepted measurements from which the next solution is due."""
 
     @property
     def rows(self) -> Matrix:

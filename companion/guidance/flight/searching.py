@@ -19,10 +19,9 @@ from companion.geometry.polygons import Corners, Point
 from companion.guidance.emitters import Progress
 from companion.guidance.flight.vehicle import VehicleView
 from companion.search.detection_model import DetectionModel
-from companion.search.learnt_reach import LearntReach, learnt_reach
+from companion.search.first_contact import LearntReach, SearchPrior, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
-from companion.search.search_prior import SearchPrior
 from companion.search.search_site import SearchSite, grid_of_site, share_outside
 from companion.search.searched_area import SearchedArea, SearchState
 from companion.search.searched_flight import (

@@ -16,7 +16,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.io.files import EVENTS
 from companion.report.page import write_report
 from companion.search.detection_model import DetectionModel
-from companion.search.learnt_reach import LearntReach
+from companion.search.first_contact import LearntReach
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import SearchedFlight, StoredGrid

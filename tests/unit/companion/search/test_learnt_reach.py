@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.search.detection_model import DetectionModel
-from companion.search.learnt_reach import LearntReach, learnt_reach
+from companion.search.first_contact import LearntReach, learnt_reach
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea
 

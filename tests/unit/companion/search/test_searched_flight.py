@@ -6,7 +6,7 @@ import pytest
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.detection_model import DetectionModel
-from companion.search.learnt_reach import LearntReach
+from companion.search.first_contact import LearntReach
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, SearchState, state_of
 from companion.search.searched_flight import (

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.search.search_prior import SearchPrior
+from companion.search.first_contact import SearchPrior
 from tools.study import searched_prior as study
 from tools.study.searched_prior import Fix, FixPair, fly_pair, table_of_pairs
 
