@@ -18,7 +18,7 @@ from sim_link.emulators.nlink import (
     node_frame3,
     node_frame5,
 )
-from sim_link.emulators.plain_lines import sx1280_valid
+from sim_link.emulators.printed_lines import sx1280_valid
 from sim_link.emulators.uwb_binary import (
     PansAnchor,
     Sr150Frame,

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
+from companion.report.charts import MAX_POINTS, SvgPlot, square_around, thin_points
 from companion.report.flight_summary import EstimatePoint
-from companion.report.svg import MAX_POINTS, SvgPlot, square_around, thin_points
 from sim_link.lab.mission.mission_cli import PlainProgress, junit_xml, progress_for
 from sim_link.lab.mission.mission_report import (
     campaign_lines,
