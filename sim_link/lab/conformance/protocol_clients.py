@@ -16,8 +16,8 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint, Triple
 from sim_link.lab.conformance.rules import NotApplicable, Violation, require
-from sim_link.lab.conformance.station import Heard
-from sim_link.lab.conformance.vehicle_probe import Parameter, VehicleProbe
+from sim_link.lab.conformance.station import Heard, Parameter
+from sim_link.lab.conformance.vehicle_probe import VehicleProbe
 
 UNLISTED_INDEX = 65_535
 LIST_S = 60.0

@@ -31,11 +31,10 @@ from sim_link.lab.conformance.rules import (
     require,
     try_rule,
 )
-from sim_link.lab.conformance.station import ProbeLink
+from sim_link.lab.conformance.station import Baseline, ProbeLink
 from sim_link.lab.conformance.vehicle_probe import (
     FLIGHT_HEIGHT_M,
     SILENCE_S,
-    Baseline,
     VehicleProbe,
 )
 

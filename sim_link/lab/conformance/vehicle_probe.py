@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Any
 
 from companion.errors import CompanionError
 from companion.mav.dialect import Message, mavlink
@@ -26,7 +24,14 @@ from sim_link.lab.conformance.rules import (
     autopilot_notes,
     require,
 )
-from sim_link.lab.conformance.station import M, ProbeLink, Station, heartbeat, source_of
+from sim_link.lab.conformance.station import (
+    Baseline,
+    M,
+    ProbeLink,
+    Station,
+    heartbeat,
+    source_of,
+)
 
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0
@@ -49,59 +54,6 @@ CLIMB_S = 40.0
 PADDING = 7
 Interval = mavlink.MAVLink_message_interval_message
 GET_INTERVAL = mavlink.MAV_CMD_GET_MESSAGE_INTERVAL
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One PARAM_VALUE, its value kept as the four bytes on the wire."""
-
-    name: str
-    kind: int
-    raw: bytes
-    index: int
-    count: int
-    value: float
-    """The number, decoded as the flavour encodes."""
-
-
-@dataclass(slots=True)
-class Baseline:
-    """State of the vehicle before the rules touched it; one for all probes of a run."""
-
-    allows_harm: bool = False
-    report: Callable[[str], None] = lambda _: None
-    """Called with the cause of each wait."""
-    custom_mode: int | None = None
-    parameters: dict[str, Parameter] = field(default_factory=dict)
-    plans: dict[int, list[Any] | None] = field(default_factory=dict)
-    """The items of each MAV_MISSION_TYPE; None: they could not be read."""
-    intervals: dict[int, float] = field(default_factory=dict)
-    """Seconds between messages whose rates are not the link's own any more, as before; -1: off."""
-    unknown_rates: set[int] = field(default_factory=set)
-    """Messages whose rates could not be read before they were changed."""
-    home: tuple[int, int, float] | None = None
-    start_e7: tuple[int, int] | None = None
-    """Start of the flights; they return there, or the next ones would lead ever farther away."""
-    unready: str = ""
-    """Reason why it could not be armed, after which later rules do not wait as long."""
-    serves_one_client: bool = False
-
-    def leftovers(self) -> list[str]:
-        """Return what is not restored, and what to do about it."""
-        left = [
-            f"{p.name} is not restored: set it to {p.value:.9g}" for p in self.parameters.values()
-        ]
-        left += [
-            f"plan of type {kind} is not restored: "
-            + ("it could not be read before" if items is None else f"it had {len(items)} items")
-            for kind, items in self.plans.items()
-        ]
-        if self.unknown_rates:
-            names = ", ".join(
-                mavlink.mavlink_map[number].msgname for number in sorted(self.unknown_rates)
-            )
-            left.append(f"rates are the mode's default now, they could not be read: {names}")
-        return left + (["home is not restored: set it again"] if self.home else [])
 
 
 class VehicleProbe(Station):
