@@ -337,7 +337,8 @@ class WindowOptimizer:
             return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
         self.noise = optima[0].noise
         following = []
-        for log_weight, optimum in weigh_optima(optima, self.map.spatial_noise):
+        own_sigma_m = self._filter_params.model.own_sigma_m
+        for log_weight, optimum in weigh_optima(optima, self.map.spatial_noise, own_sigma_m):
             state = FilterState.of(hypotheses[0].state.time_s, optimum.mean, optimum.covariance)
             # with correlated residuals the filter must not shrink below the window's covariance
             is_free = is_white and is_all_white(self.map.spatial_noise)

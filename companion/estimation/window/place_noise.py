@@ -71,16 +71,28 @@ class SpatialNoise:
     repetition: float
     """Measurements per effective sample, at least 1."""
 
+    def sums(self, values: Matrix) -> Matrix:
+        """Return the sums over each cell, (g, m), of `values` (n, m)."""
+        seen = self.cell >= 0
+        sums = np.zeros((len(self.field), values.shape[1]))
+        np.add.at(sums, self.cell[seen], values[seen])
+        return sums
+
     def variance(self, weights: Matrix) -> Matrix:
         """Return the covariance of weighted sums of influences, (m, m); `weights` (n, m).
 
         Rows that were not measured are zero.
         """
-        seen = self.cell >= 0
-        sums = np.zeros((len(self.field), weights.shape[1]))
-        np.add.at(sums, self.cell[seen], weights[seen])
+        sums = self.sums(weights)
         total: Matrix = sums.T @ self.field @ sums + self.white * (weights.T @ weights)
         return total
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of a variance that the cells' averages determine (Satterthwaite)."""
+        count = np.bincount(self.cell[self.cell >= 0], minlength=len(self.field))
+        V = self.field + np.diag(self.white / count)
+        return float(np.trace(V) ** 2 / np.sum(V * V))
 
 
 def fit_spatial_noise(

@@ -9,6 +9,17 @@ deviation, the odds are no better than Phi(z) / Phi(-z). The smaller of the two 
 
 Source: Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of their likelihood
 ratio; here only the noise's part of the scatter counts, because the rest is geometry.
+
+Where errors are spatially correlated, every measurement has the weight that the correlation leaves
+of it on average along the path. But two places differ by residuals that change along the path,
+which shared errors do not imitate as easily as an offset: the difference of the costs may decide
+although it is small. So its value is judged by the two distributions that it has if one place or
+the other is true. Their means are D and -D, with D half the weighted square of the difference of
+the influences, and both have the variance S of the sum above, with the covariance of the spatial
+noise. To S belongs that the path itself is only known to the vehicle's position error, because a
+path that bends no more than this does not tell mirror images apart. S is estimated from so few
+independent places that the distributions are Student's t, with the degrees of freedom that they
+leave (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
 """
 
 from __future__ import annotations
@@ -23,6 +34,7 @@ from companion.estimation.filters.target_filter import Inflation
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     CRITICAL_RATIO,
+    Scores,
     SpatialNoises,
     is_all_white,
     long_run_variance,
@@ -43,36 +55,50 @@ class Optimum:
     """Sandwich covariance, (n, n), with correlation if requested."""
     inflation: float
     """Variance of the measurements over white thermal noise."""
-    psi: Matrix
-    """(m, n) influences of the measurements."""
+    scores: Scores
+    """Problem linearised at it."""
     noise: Inflation
     """The same inflation of one range, bearing or elevation at its mean weight, uncorrelated."""
 
 
 def weigh_optima(
-    optima: Sequence[Optimum], spatial_noise: SpatialNoises = ALL_WHITE
+    optima: Sequence[Optimum], spatial_noise: SpatialNoises = ALL_WHITE, own_sigma_m: float = 0.0
 ) -> list[tuple[float, Optimum]]:
     """Return the optima with log-weights, best first, without the improbable ones.
 
     Only the inflation of the best one is used, because a wrong position makes its residuals
-    systematic. The volume of an optimum is ignored, or the vaguest would win.
+    systematic. The volume of an optimum is ignored, or the vaguest would win. `own_sigma_m` is the
+    standard deviation of the vehicle's position at each place.
     """
     if not optima:
         return []
     best = min(optima, key=lambda optimum: optimum.cost)
-    logs = [(log_ratio(each, best, spatial_noise), each) for each in optima]
+    logs = [(log_ratio(each, best, spatial_noise, own_sigma_m), each) for each in optima]
     return [(log, optimum) for log, optimum in logs if log > IMPROBABLE_LOG_RATIO]
 
 
-def log_ratio(rival: Optimum, best: Optimum, spatial_noise: SpatialNoises = ALL_WHITE) -> float:
+def log_ratio(
+    rival: Optimum,
+    best: Optimum,
+    spatial_noise: SpatialNoises = ALL_WHITE,
+    own_sigma_m: float = 0.0,
+) -> float:
     """Return the log odds of `rival` to `best`, at most 0."""
-    return 0.0 if rival is best else log_ratio_of(rival.cost, rival.psi, best, spatial_noise)
+    if rival is best:
+        return 0.0
+    return log_ratio_of(rival.cost, rival.scores, best, spatial_noise, own_sigma_m)
 
 
-def log_ratio_of(cost: float, psi: Matrix, best: Optimum, spatial_noise: SpatialNoises) -> float:
-    """Return the log odds of a rival of which only cost and influences (m, n) are known."""
+def log_ratio_of(
+    cost: float, scores: Scores, best: Optimum, spatial_noise: SpatialNoises, own_sigma_m: float
+) -> float:
+    """Return the log odds of a rival of which only cost and linearised problem are known."""
+    if not is_all_white(spatial_noise):
+        contrast = contrast_of(scores, best.scores, spatial_noise, own_sigma_m)
+        return contrast.log_ratio(cost - best.cost)
     by_noise = (cost - best.cost) / best.inflation
-    scatter = scatter_of(psi, best.psi, spatial_noise)
+    sensitivity = np.sum((scores.scored - best.scores.scored) * best.scores.scored, axis=0)
+    scatter = CRITICAL_RATIO**2 * float(long_run_variance(sensitivity[:, None])[0, 0])
     if scatter <= 0.0:
         return -by_noise
     z = (cost - best.cost) / math.sqrt(scatter)
@@ -80,23 +106,47 @@ def log_ratio_of(cost: float, psi: Matrix, best: Optimum, spatial_noise: Spatial
     return -min(by_noise, by_chance)
 
 
-def scatter_of(rival: Matrix, best: Matrix, spatial_noise: SpatialNoises) -> float:
-    """Return the variance of the difference of two costs by the noise.
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """Distribution of the difference of two costs, if one of the two places is the true one."""
 
-    It follows from the influences (m, n) of the rival and of the best; spatially correlated errors
-    contribute by the covariance of their `spatial_noise`.
-    """
-    if is_all_white(spatial_noise):
-        sensitivity = np.sum((rival - best) * best, axis=0)
-        return float(CRITICAL_RATIO**2 * long_run_variance(sensitivity[:, None])[0, 0])
-    scatter = 0.0
-    for index, field in enumerate(spatial_noise[: len(best)]):
-        away = (rival[index] - best[index])[:, None]
+    mean: float
+    """Expected difference, from the geometry."""
+    variance: float
+    degrees: float
+    """Degrees of freedom of the variance, by the errors of measurements: of the vehicle's own only
+    the standard deviation is stated."""
+
+    def log_ratio(self, gap: float) -> float:
+        """Return the log odds of the place that costs more by `gap`, at most 0."""
+        if self.variance <= 0.0:
+            return -gap
+        scale = self.degrees * self.variance
+        far, near = (gap + self.mean) ** 2 / scale, (gap - self.mean) ** 2 / scale
+        return min(0.0, 0.5 * (self.degrees + 1.0) * (math.log1p(near) - math.log1p(far)))
+
+
+def contrast_of(
+    rival: Scores, best: Scores, spatial_noise: SpatialNoises, own_sigma_m: float
+) -> Contrast:
+    """Return the contrast of two places under spatially correlated errors in some modality."""
+    mean = variance = uncertain = of_own = 0.0
+    turned = rival.by_place - best.by_place
+    for m in best.measured:
+        field, away = spatial_noise[m], rival.scored[m] - best.scored[m]
+        half_square = 0.5 * float(away @ away)
         if field is None:
-            scatter += float(np.sum((away[:, 0] * best[index]) ** 2))
+            share, degrees = 1.0, float(best.counts[m])
+            found = float(np.sum((away * best.scored[m]) ** 2))
         else:
-            scatter += float(field.variance(away)[0, 0]) / field.repetition**2
-    return scatter
+            share, degrees = 1.0 / field.repetition, field.degrees
+            found = share**2 * float(field.variance(away[:, None])[0, 0])
+            of_own += share**2 * float(np.sum(field.sums(turned[m]) ** 2))
+        mean += share * half_square
+        variance += found
+        uncertain += found**2 / degrees
+    degrees = variance**2 / uncertain if uncertain > 0.0 else 1.0
+    return Contrast(mean, variance + own_sigma_m**2 * of_own, degrees)
 
 
 def log_erfc(x: float) -> float:

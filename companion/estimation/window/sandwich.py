@@ -110,6 +110,12 @@ class Scores:
         return scored
 
     @cached_property
+    def by_place(self) -> Matrix:
+        """(m, n, 2) derivative of each measurement's cost by the vehicle's place, per metre."""
+        H = self.H[:, :2].reshape(*self.psi.shape, 2)
+        return np.asarray(self.scored[:, :, None] * H)
+
+    @cached_property
     def counts(self) -> tuple[int, ...]:
         """Number of measurements of each modality, (m,)."""
         counts: list[int] = np.count_nonzero(self.is_measured, axis=1).tolist()
@@ -323,7 +329,8 @@ def stretch_covariance(
 
     `profiled` is the cost with the other states solved again, which rises by the profiled curvature
     1 / v^T A^-1 v in direction v; it is evaluated only where `cost`, which is never less, rises
-    enough. A step is `worth` so many measurements.
+    enough. Each side has its own stretch, and its share of the probability is that of its width. A
+    step is `worth` so many measurements.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -334,23 +341,51 @@ def stretch_covariance(
     if profiled is not None:
         curvature = float(values[1] / (vectors[:, 1] @ np.linalg.inv(A)[:2, :2] @ vectors[:, 1]))
     promised = 0.5 * EDGE_SIGMAS**2 * curvature
-    wanted = MIN_RISE_SHARE * promised + cost(mean)
-    stretch = 1.0
+    base = cost(mean)
+    sides = []
     for side in (-1.0, 1.0):
         edge = side * EDGE_SIGMAS * axis
-        for factor in (1.0, *STRETCHES):
-            at = mean + factor * edge
-            is_reached = cost(at) >= wanted
-            yield worth
-            if is_reached and profiled is not None:
-                is_reached = (yield from profiled(at)) >= wanted
-            if is_reached:
-                break
-        stretch = max(stretch, factor)
-    if stretch == 1.0:
+        sides.append((yield from _stretch(mean, edge, base, promised, cost, profiled, worth)))
+    one, other = sides
+    if one == other == 1.0:
         return covariance
-    wider: Matrix = covariance + (stretch**2 - 1.0) * np.outer(axis, axis)
+    # second moment about the mode of a normal whose two halves have these deviations
+    stretch2 = one * one - one * other + other * other
+    wider: Matrix = covariance + (stretch2 - 1.0) * np.outer(axis, axis)
     return wider
+
+
+def _stretch(
+    mean: Vector,
+    edge: Vector,
+    base: float,
+    promised: float,
+    cost: Cost,
+    profiled: ProfiledCost | None,
+    worth: int,
+) -> Steps[float]:
+    """Return the factor on `edge` (k,) at which the cost has risen from `base` by enough.
+
+    Between two factors that were tried, the root of the rise is taken as linear, as it is of a
+    parabola.
+    """
+    wanted = MIN_RISE_SHARE * promised
+    last, below = 0.0, 0.0
+    for factor in (1.0, *STRETCHES):
+        at = mean + factor * edge
+        rise = cost(at) - base
+        yield worth
+        if rise >= wanted and profiled is not None:
+            rise = (yield from profiled(at)) - base
+        if rise >= wanted:
+            break
+        last, below = factor, max(rise, 0.0)
+    else:
+        return factor
+    if last == 0.0:
+        return factor
+    share = (math.sqrt(wanted) - math.sqrt(below)) / (math.sqrt(rise) - math.sqrt(below))
+    return last + share * (factor - last)
 
 
 COLLINEAR_RATIO = 0.05

@@ -230,7 +230,7 @@ class WindowMap:
             best = optima[0] if optima else None
             if (
                 best
-                and log_ratio_of(cost, scores.scored, best, self.spatial_noise)
+                and log_ratio_of(cost, scores, best, self.spatial_noise, self._model.own_sigma_m)
                 <= IMPROBABLE_LOG_RATIO
             ):
                 continue
@@ -419,7 +419,7 @@ class WindowMap:
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
             return None
         noise = [max(1.0, scores.inflation(m, len(mean))) for m in range(len(scores.u))]
-        return Optimum(mean, cost, covariance, inflation, scores.scored, tuple(noise))
+        return Optimum(mean, cost, covariance, inflation, scores, tuple(noise))
 
     def widths(
         self, rows: Matrix, mean: Vector, older: OlderEvidence | None, *, is_white: bool

@@ -53,8 +53,7 @@ def test_where_the_cost_keeps_its_promise_nothing_changes(share: float) -> None:
 def test_where_it_is_flatter_the_longest_axis_is_longer(share: float) -> None:
     wider = stretched(COVARIANCE, A, MEAN, _quadratic(share))
     ratio = float(np.sqrt(wider[0, 0] / COVARIANCE[0, 0]))
-    needed = float(np.sqrt(MIN_RISE_SHARE / share))
-    assert needed * (1.0 - 1e-9) <= ratio <= 1.5 * needed
+    assert ratio == pytest.approx(np.sqrt(MIN_RISE_SHARE / share))
     others = wider - COVARIANCE
     others[0, 0] = 0.0
     assert np.abs(others).max() < 1e-12
@@ -64,7 +63,23 @@ def test_one_flat_side_is_enough() -> None:
     def cost(x: Vector) -> float:
         return _quadratic(1.0 if x[0] < MEAN[0] else 0.1)(x)
 
-    assert stretched(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
+    one_sided = stretched(COVARIANCE, A, MEAN, cost)[0, 0]
+    assert COVARIANCE[0, 0] < one_sided < stretched(COVARIANCE, A, MEAN, _quadratic(0.1))[0, 0]
+
+
+@pytest.mark.parametrize("share", [0.4, 0.1])
+def test_halves_of_two_widths_have_their_own_second_moment(share: float) -> None:
+    """Drawn from a valley whose one side is flat, each side as often as it is wide."""
+
+    def cost(x: Vector) -> float:
+        return _quadratic(1.0 if x[0] < MEAN[0] else share)(x)
+
+    wide = float(np.sqrt(MIN_RISE_SHARE / share))
+    rng = np.random.default_rng(3)
+    side = np.where(rng.random(200_000) < wide / (1.0 + wide), wide, -1.0)
+    drawn = 3.0 * side * np.abs(rng.normal(size=200_000))
+    wider = stretched(COVARIANCE, A, MEAN, cost)
+    assert wider[0, 0] == pytest.approx(np.mean(drawn**2), rel=0.02)
 
 
 def test_a_plain_without_end_is_stretched_as_far_as_it_goes() -> None:

@@ -7,15 +7,20 @@ import math
 import numpy as np
 import pytest
 
+from companion.estimation.measurement_model import RANGE
+from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
 from companion.estimation.window.rivals import (
     IMPROBABLE_LOG_RATIO,
+    Contrast,
     Optimum,
+    contrast_of,
     log_erfc,
     log_ratio,
     weigh_optima,
 )
+from companion.estimation.window.sandwich import Scores
 from companion.estimation.window.window_map import WindowMap
-from companion.kernel import Matrix
+from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, reflected, walk
 
 N = 100
@@ -33,7 +38,17 @@ def _optimum(
     covariance = np.diag([sigma_m**2, sigma_m**2, 1.0, 0.01])
     influences = np.zeros((3, N)) if psi is None else psi
     mean = np.array([east_m, 0.0, 1.0, 0.0])
-    return Optimum(mean, cost, covariance, inflation, influences, (1.0, 1.0, 1.0))
+    return Optimum(mean, cost, covariance, inflation, _scores(influences), (1.0, 1.0, 1.0))
+
+
+def _scores(psi: Matrix, partials: Matrix | None = None) -> Scores:
+    """Ranges with these influences (3, n), and partials (n, 4) of the state."""
+    H = np.zeros((3 * psi.shape[1], 4))
+    if partials is not None:
+        H[: psi.shape[1]] = partials
+    is_measured = np.zeros(psi.shape, dtype=bool)
+    is_measured[RANGE] = True
+    return Scores(psi, psi, H, is_measured)
 
 
 def test_without_rivals_there_is_nothing_to_weigh() -> None:
@@ -124,6 +139,72 @@ def test_under_reflections_it_is_decided_later() -> None:
         optima = solver.optima(rows, [START, START * [1.0, -1.0, 1.0, 1.0]])
         logs.append(log_ratio(optima[1], optima[0]) if len(optima) > 1 else -math.inf)
     assert logs[0] < 2.0 * logs[1] < 0.0
+
+
+def _field_along(places: Matrix, psi: Vector) -> SpatialNoise:
+    partials, prior = np.zeros((len(psi), 1)), np.eye(1)
+    return fit_spatial_noise(places, psi, partials, 1.0, prior, SpatialPrior(0.6, 2.0))
+
+
+def test_the_odds_are_those_of_a_likelihood_where_errors_are_independent() -> None:
+    """Of two costs of independent errors the difference is the log odds, and its variance twice
+    its mean."""
+    contrast = Contrast(mean=4.0, variance=8.0, degrees=1e9)
+    assert contrast.log_ratio(3.0) == pytest.approx(-3.0, rel=1e-6)
+    assert contrast.log_ratio(0.0) == 0.0
+
+
+def test_few_independent_places_leave_more_doubt_than_many() -> None:
+    logs = [Contrast(4.0, 8.0, degrees).log_ratio(4.0) for degrees in (2.0, 8.0, 32.0, 1e6)]
+    assert logs == sorted(logs, reverse=True)
+    assert logs[0] > -2.5 > -3.9 > logs[-1]
+
+
+def test_the_odds_of_a_contrast_hold_when_errors_repeat() -> None:
+    """A place that differs by a wave along the path is wrong as often as the odds say.
+
+    Errors have the prior's strength and length: where a constant error would be worth one
+    measurement, a wave is worth more.
+    """
+    rng, way_m = np.random.default_rng(5), np.arange(0.0, 40.0, 0.25)
+    places = np.stack([way_m, np.zeros_like(way_m)], axis=1)
+    apart_m = np.abs(way_m[:, None] - way_m)
+    half = np.linalg.cholesky(0.36 * np.exp(-apart_m / 2.0) + 0.04 * np.eye(len(way_m)))
+    wave = 0.5 * np.sin(way_m / 2.5)
+    stated, wrong, sharp = 0.0, 0, 0
+    for _ in range(100):
+        psi = np.zeros((3, len(way_m)))
+        psi[RANGE] = half @ rng.normal(size=len(way_m))
+        pair = psi, psi + np.stack([wave, 0.0 * wave, 0.0 * wave])
+        first, second = sorted(pair, key=lambda each: float(np.sum(each**2)))
+        field = _field_along(places, first[RANGE])
+        gap = 0.5 * float(np.sum(second**2) - np.sum(first**2)) / field.repetition
+        fields = (field, None, None)
+        log = contrast_of(_scores(second), _scores(first), fields, 0.0).log_ratio(gap)
+        stated += math.exp(log) / (1.0 + math.exp(log))
+        wrong += first is pair[1]
+        sharp += log < 1.5 * -gap
+    assert abs(wrong - stated) <= 3.0 * math.sqrt(stated)
+    assert sharp > 50
+
+
+def test_a_path_that_bends_within_its_own_error_decides_nothing() -> None:
+    way_m = np.arange(0.0, 40.0, 0.25)
+    places = np.stack([way_m, np.zeros_like(way_m)], axis=1)
+    psi = np.zeros((3, len(way_m)))
+    psi[RANGE] = 0.3 * np.sin(way_m / 3.0)
+    rival = psi + 0.2 * np.stack([np.cos(way_m / 5.0)] * 3)
+    left, right = np.zeros((len(way_m), 4)), np.zeros((len(way_m), 4))
+    left[:, 1], right[:, 1] = 2.0, -2.0  # north of the path, and south of it
+    fields = (_field_along(places, psi[RANGE]), None, None)
+    contrasts = [
+        contrast_of(_scores(rival, right), _scores(psi, left), fields, own_m)
+        for own_m in (0.0, 0.2, 1.0)
+    ]
+    logs = [contrast.log_ratio(contrast.mean) for contrast in contrasts]
+    assert logs == sorted(logs)
+    assert logs[0] < -1.0
+    assert logs[-1] > -0.1
 
 
 @pytest.mark.parametrize("x", [-5.0, 0.0, 1.0, 5.0, 19.9])

@@ -228,10 +228,10 @@ def test_known_white_noise_leaves_it_surer() -> None:
 def test_influences_are_those_of_the_measurements() -> None:
     rows = reflected(np.random.default_rng(8), walk(np.random.default_rng(8)), 0.5)
     (best,) = WindowMap(params()).optima(rows, [START])
-    assert best.psi.shape == (3, 200)
-    assert best.psi[0].max() == 1.5
-    assert best.psi[1].min() >= -1.5
-    assert not best.psi[2].any()
+    assert best.scores.scored.shape == (3, 200)
+    assert best.scores.scored[0].max() == 1.5
+    assert best.scores.scored[1].min() >= -1.5
+    assert not best.scores.scored[2].any()
 
 
 # -- Where there is nothing to find --------------------------------------------------------------
