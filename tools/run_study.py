@@ -27,6 +27,7 @@ from tools.benches.planner_bench import costs_of
 from tools.console import OneLineParser, non_negative, positive, shown
 from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
 from tools.study.field_flights import flights_of, fly_all, rows_kept
+from tools.study.power_pairs import PowerPair, fly_both, table_of_power
 from tools.study.reporting.area_report import write_area_report
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
 from tools.study.reporting.study_report import Section, write_page, write_report
@@ -62,12 +63,8 @@ def main() -> int:
     try:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
         check_folder(out)
-        if arguments.study == AREA:
-            return run_area(arguments, out)
-        if arguments.study == PRIOR:
-            return run_prior(arguments, out)
-        if arguments.study == SEARCH:
-            return run_search(arguments, out)
+        if arguments.study in SIMULATED:
+            return SIMULATED[arguments.study](arguments, out)
         studies = studies_of(arguments.study, STUDIES)
         if studies[0].flights is not None:
             return run_flights(studies[0], arguments, out)
@@ -97,7 +94,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument(
         "study",
         metavar="STUDY",
-        help="a name in configs/studies, a YAML file, area, search or prior",
+        help="a name in configs/studies, a YAML file, area, search, prior or power",
     )
     parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
     parser.add_argument("--seed", type=non_negative, default=1)
@@ -227,6 +224,22 @@ def run_prior(arguments: argparse.Namespace, out: Path) -> int:
     return 0 if is_met else 1
 
 
+POWER, POWER_FLIGHTS = "power", 100
+
+
+def run_power(arguments: argparse.Namespace, out: Path) -> int:
+    """Fly searches by ranges, without and with the received power beside them."""
+    flown: list[PowerPair] = all_flown(arguments, fly_both, POWER_FLIGHTS)
+    make_folder(out)
+    table, is_met = table_of_power(flown)
+    write_text_atomic(out / "power.txt", table)
+    write_json_atomic(out / "flights.json", flown)
+    print(table, end="")
+    if not is_met:
+        print("run_study: flights with received power are the worse ones", file=sys.stderr)
+    return 0 if is_met else 1
+
+
 AREA, AREA_FLIGHTS = "area", 2000
 
 
@@ -241,6 +254,13 @@ def run_area(arguments: argparse.Namespace, out: Path) -> int:
     return 0 if is_met else 1
 
 
+SIMULATED: Mapping[str, Callable[[argparse.Namespace, Path], int]] = {
+    AREA: run_area,
+    POWER: run_power,
+    PRIOR: run_prior,
+    SEARCH: run_search,
+}
+"""Studies that no file describes."""
 ROW_NAMES = tuple(field.name for field in fields(ResultRow))
 
 

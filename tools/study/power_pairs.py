@@ -1,0 +1,122 @@
+"""Flights by ranges alone, and by ranges with the received power beside them, in pairs.
+
+Both flights of a pair meet the same emitter, walls, wind and noise: a phone that answers Wi-Fi
+round-trip requests, as in the field study. One is configured by the radio's preset, the other also
+with the power at 1 m, which is wrong by up to 10 dB. Powers stay with the place as much as ranges
+do, and fade from frame to frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from companion.errors import ConfigError
+from tools.study.field_flights import FieldFlight, flights_of, fly
+from tools.study.reporting.study_tables import studies_of
+from tools.study.study import FlightRow
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+CELL = ("phone_ftm", "configured", "latched_crossing")
+"""Radio, configuration and planner of the field study."""
+POWER_AT_1M_DBM = -25.0
+"""15 dBm of a phone, and 40 dB of loss over the first metre at 2.4 GHz."""
+WRONG_BY_DB = 10.0
+"""Half width of the uniform error of that power."""
+FADING_SIGMA_DB = 4.0
+"""From frame to frame: 3 to 6 dB."""
+WORSE_BY_CHANCE = 0.05
+"""Probability up to which so many worse flights of a pair are no chance."""
+change = msgspec.structs.replace
+
+
+@dataclass(frozen=True, slots=True)
+class PowerPair:
+    """One flight without and with power."""
+
+    without: FlightRow
+    with_power: FlightRow
+
+
+def pair_of(number: int, seed: int) -> tuple[FieldFlight, FieldFlight]:
+    """Return the two flights of a number, by ranges alone and with power."""
+    [study] = studies_of("field", CONFIGS / "studies")
+    if study.flights is None:
+        raise ConfigError("the field study has no flights")
+    flight = flights_of(study.flights, CONFIGS, number + 1, seed, CELL)[number]
+    channel = flight.scenario.channel
+    assert channel.loss is not None
+    wrong_db = np.random.default_rng((flight.seed, 0xDB)).uniform(-WRONG_BY_DB, WRONG_BY_DB)
+    at_half_range_db = 10.0 * channel.loss.exponent * math.log10(channel.loss.half_range_m)
+    loss = change(
+        channel.loss,
+        fading_sigma_db=FADING_SIGMA_DB,
+        sensitivity_dbm=POWER_AT_1M_DBM + wrong_db - at_half_range_db,
+    )
+    scenario = change(flight.scenario, channel=change(channel, loss=loss))
+    ranges = replace(flight, scenario=scenario)
+    estimation = flight.config.estimation
+    powers = change(estimation.filter, power_at_1m_dbm=POWER_AT_1M_DBM)
+    config = change(flight.config, estimation=change(estimation, filter=powers))
+    return ranges, replace(ranges, config=config)
+
+
+def fly_both(number: int, seed: int) -> PowerPair:
+    """Fly the two flights of a number."""
+    without, with_power = (
+        msgspec.json.decode(fly(flight), type=FlightRow) for flight in pair_of(number, seed)
+    )
+    return PowerPair(without, with_power)
+
+
+def table_of_power(pairs: Sequence[PowerPair]) -> tuple[str, bool]:
+    """Return the comparison as text, and True if flights with power are not the worse ones.
+
+    They are if more of them err by more, or state a radius that does not hold, than chance
+    explains.
+    """
+    lines = [f"{len(pairs)} pairs                without    with power  better  worse"]
+    judged = []
+    for name, value_of in (("error, m", _error_m), ("outside R95", _is_outside)):
+        values = np.array([[value_of(row) for row in (p.without, p.with_power)] for p in pairs])
+        better, worse = ((side * np.diff(values)).ravel() > 0.0 for side in (-1.0, 1.0))
+        judged.append((int(better.sum()), int(worse.sum())))
+        figures = np.median(values, axis=0) if value_of is _error_m else values.sum(axis=0)
+        lines.append(_line(name, figures.tolist(), *judged[-1]))
+    for name, field in (("R95, m", "r95_m"), ("time, s", "time_s")):
+        values = np.array(
+            [[_known(getattr(row, field)) for row in (p.without, p.with_power)] for p in pairs]
+        )
+        lines.append(_line(name, np.median(values, axis=0).tolist()))
+    reported = [[row.is_reported for row in (p.without, p.with_power)] for p in pairs]
+    lines.append(_line("reported", np.sum(reported, axis=0).tolist()))
+    is_met = all(_chance(better, worse) > WORSE_BY_CHANCE for better, worse in judged)
+    return "\n".join(lines) + "\n", is_met
+
+
+def _line(name: str, figures: Sequence[float], *counts: int) -> str:
+    cells = "".join(f"{count:8d}" for count in counts)
+    return f"{name:16}{figures[0]:12.2f}{figures[1]:14.2f}{cells}"
+
+
+def _known(value: float | None) -> float:
+    return math.inf if value is None else value
+
+
+def _error_m(row: FlightRow) -> float:
+    return _known(row.error_m)
+
+
+def _is_outside(row: FlightRow) -> bool:
+    return _error_m(row) > _known(row.r95_m)
+
+
+def _chance(better: int, worse: int) -> float:
+    """Return the probability of so many worse ones or more, if both are equally likely."""
+    count = better + worse
+    return float(sum(math.comb(count, k) for k in range(worse, count + 1)) / 2**count)
