@@ -25,9 +25,8 @@ from companion.estimation.tracker_params import EstimationConfig, TrackerParams
 from companion.geometry.geofence import GeoFence
 from companion.geometry.obstacles import check_corners
 from companion.geometry.polygons import Corners, Point
-from companion.guard.envelope import Envelope, Reserve, Stopping
-from companion.guard.fence import Fence
 from companion.guard.gate import GuardLimits
+from companion.guard.limits import Envelope, Fence, Reserve, Stopping
 from companion.guidance.emitters import QueueParams
 from companion.guidance.flight.fencing import FencePlan, FencePolicy
 from companion.guidance.session_params import SessionParams

@@ -28,8 +28,7 @@ from itertools import chain
 
 from companion.geometry.obstacles import FreeSpace, limited_to_reach
 from companion.geometry.polygons import FARTHEST_M, Point
-from companion.guard.envelope import MAX_TICK_S, Envelope, Reserve, Stopping, ahead
-from companion.guard.fence import Fence
+from companion.guard.limits import MAX_TICK_S, Envelope, Fence, Reserve, Stopping, ahead
 
 Position = tuple[float, float, float]
 

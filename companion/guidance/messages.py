@@ -20,8 +20,8 @@ from companion.estimation.screen import RejectReason
 from companion.estimation.target_motion import TargetMotion
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.geometry.coordinates import LocalOrigin
-from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
+from companion.guard.limits import Fence
 from companion.guidance.commands import Announce, Command, Record, ReportResult, Severity
 
 

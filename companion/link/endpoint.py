@@ -30,7 +30,7 @@ from companion.link.gcs_services import (
     StationRequest,
     TunableBook,
 )
-from companion.link.inbound import UNREAD
+from companion.link.inbound import UNREAD, is_time_question
 from companion.link.intake import Authenticity, FloodShield, Intake
 from companion.link.interface import (
     EndpointParams,
@@ -314,7 +314,7 @@ class CompanionEndpoint:
         is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
-        if number in UNREAD:
+        if number in UNREAD or is_time_question(frame, number):
             if is_proved:
                 self.executor.note_unread(sender, sequence, number, peer, now_s)
             return

@@ -35,6 +35,7 @@ from companion.mav.flight_modes import (
     mode_of,
     other_mode_name,
 )
+from companion.mav.framing import HEADER_LENGTH
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 FAILSAFE_STATES = (
@@ -52,6 +53,7 @@ STAMPED = frozenset(
     }
 )
 """Kinds that are not ordered by their sequence numbers: stamped ones, and those without order."""
+TIMESYNC, NO_TIME = mavlink.MAVLINK_MSG_ID_TIMESYNC, bytes(8)
 UP_STATES = (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE)
 MAX_HOME_DISTANCE_M = 1e5
 """Largest plausible distance of home from the origin."""
@@ -321,3 +323,12 @@ def _landed_state(value: int) -> LandedState:
         return LandedState(value)
     except ValueError:
         return LandedState.UNKNOWN
+
+
+def is_time_question(frame: bytes, number: int) -> bool:
+    """Return True if a frame asks for the time; only answers, whose `tc1` is set, are of use.
+
+    PX4 asks every component ten times a second.
+    """
+    at = HEADER_LENGTH[frame[0]]
+    return number == TIMESYNC and frame[at : at + 8] == NO_TIME

@@ -14,7 +14,7 @@ from companion.config.schema import (
     PlannerConfig,
 )
 from companion.geometry.polygons import Point, depth_m
-from companion.guard.fence import Fence
+from companion.guard.limits import Fence
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams

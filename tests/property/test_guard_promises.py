@@ -21,9 +21,8 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry import Point as ShapelyPoint
 
 from companion.geometry.polygons import Point, deepest_point, depth_m
-from companion.guard.envelope import MAX_TICK_S, Envelope, Reserve, Stopping
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardLimits, GuardReason, Motion, Position
+from companion.guard.limits import MAX_TICK_S, Envelope, Fence, Reserve, Stopping
 
 HOME_UP_M = 10.0
 ROUNDING_M = 1e-6

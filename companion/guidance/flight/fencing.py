@@ -37,9 +37,8 @@ from companion.geometry.geofence import (
     difference,
 )
 from companion.geometry.polygons import Corners, Point, area_m2
-from companion.guard.envelope import Envelope
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, GuardLimits
+from companion.guard.limits import Envelope, Fence
 from companion.guidance.events import AutopilotFenceRead, FenceLimits
 
 TOLERANCE_M = 1.0

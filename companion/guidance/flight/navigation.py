@@ -12,8 +12,8 @@ from typing import Any
 from companion.domain import PositionEnu, PositionSetpoint, TargetEstimate, Waypoint
 from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.geometry.polygons import Point, depth_m
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
+from companion.guard.limits import Fence
 from companion.guidance.commands import Announce, Command, Severity, Topic
 from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.searching import Searching
@@ -102,20 +102,11 @@ class FlightPlan:
         Without a position the plan stays as it is. The leg to the waypoint begins at the current
         setpoint, or at the vehicle itself.
         """
-        place_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
+        place_enu_m = vehicle.position_enu_m
         if place_enu_m is None:
             return []
         previous, self._planned_s = self.waypoint, now_s
-        yaw = vehicle.track.latest_yaw
-        request = replace(
-            self._request(now_s, place_enu_m, estimate),
-            yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
-            leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
-            altitude_offset_m=None if height_m is None else height_m - self._altitude_m,
-            home_enu_m=None if vehicle.home_enu_m is None else vehicle.home_enu_m[:2],
-            range_left_m=self._range_left_m(vehicle),
-            outlook=self._outlook(now_s, vehicle, estimate),
-        )
+        request = self._request(now_s, vehicle, place_enu_m, setpoint_enu_m, estimate)
         plan = self._planner.plan(request, self._memory)
         self.waypoint, self._memory = plan.waypoint, plan.memory
         commands = self._search_messages(now_s, estimate) + _descent_messages(
@@ -140,10 +131,16 @@ class FlightPlan:
         return self._searching.outlook(vehicle)
 
     def _request(
-        self, now_s: float, place_enu_m: PositionEnu, estimate: TargetEstimate | None
+        self,
+        now_s: float,
+        vehicle: VehicleView,
+        place_enu_m: PositionEnu,
+        setpoint_enu_m: PositionEnu | None,
+        estimate: TargetEstimate | None,
     ) -> PlanRequest:
         fence, tracker = self._guard.limits.fence, self._emitters.current
-        hypotheses, height_m = tracker.hypotheses, tracker.target_height_m
+        hypotheses, home, yaw = tracker.hypotheses, vehicle.home_enu_m, vehicle.track.latest_yaw
+        target_up_m = tracker.target_height_m if estimate is None else estimate.height_m
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
             estimate=estimate,
@@ -154,7 +151,13 @@ class FlightPlan:
             also_inside_enu_m=() if fence is None else fence.also_inside_enu_m,
             time_s=now_s,
             contact_s=tracker.last_accepted_s,
-            height_m=place_enu_m[2] - (height_m if estimate is None else estimate.height_m),
+            height_m=place_enu_m[2] - target_up_m,
+            yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
+            leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
+            altitude_offset_m=None if home is None else place_enu_m[2] - home[2] - self._altitude_m,
+            home_enu_m=None if home is None else home[:2],
+            range_left_m=self._range_left_m(vehicle),
+            outlook=self._outlook(now_s, vehicle, estimate),
             sigmas=tracker.latest_sigmas,
             joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
         )

@@ -88,7 +88,7 @@ def test_equal_changes_are_told_apart_and_named_by_their_place(tmp_path: Path) -
 def test_a_mutant_is_run_and_its_verdict_written(tmp_path: Path) -> None:
     """A real one, over the guard's own tests."""
     report = tmp_path / "mutants.json"
-    command = [sys.executable, "-m", "tools.fuzz.mutate_guard", "companion/guard/envelope.py"]
+    command = [sys.executable, "-m", "tools.fuzz.mutate_guard", "companion/guard/limits.py"]
     one = ["--only", "next_velocity | size > most => size <= most", "--json", str(report)]
     done = subprocess.run([*command, *one], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.stdout.startswith("1 mutants: 1 killed, 0 killed by time, 0 equivalent, 0 survived")

@@ -18,7 +18,7 @@ from companion.geometry.geofence import (
     place_problem,
 )
 from companion.geometry.polygons import Point, contains, depth_m
-from companion.guard.fence import Fence
+from companion.guard.limits import Fence
 
 ZURICH = LocalOrigin(47.397742, 8.545594, 488.0)
 SQUARE = ((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from companion.guard.envelope import Envelope, Stopping
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardLimits, Motion, Position
+from companion.guard.limits import Envelope, Fence, Stopping
 
 SQUARE = Fence(((-100.0, -100.0), (100.0, -100.0), (100.0, 100.0), (-100.0, 100.0)), 5.0)
 ENVELOPE = Envelope(

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from companion.geometry.obstacles import GRAZE_M
 from companion.geometry.polygons import Point, deepest_point, depth_m
-from companion.guard.fence import Fence
+from companion.guard.limits import Fence
 
 SQUARE = ((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))
 HORSESHOE = (

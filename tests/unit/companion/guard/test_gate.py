@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import pytest
 
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
+from companion.guard.limits import Fence
 from tests.unit.companion.guard.gate_helpers import (
     ENVELOPE,
     GUARD,

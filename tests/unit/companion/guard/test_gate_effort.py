@@ -13,8 +13,8 @@ import pytest
 
 from companion.geometry import obstacles, polygons
 from companion.geometry.polygons import Corners, Point
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason, Motion
+from companion.guard.limits import Fence
 from tests.unit.companion.guard.gate_helpers import LIMITS
 
 LOOKS_PER_EDGE = 30

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason
+from companion.guard.limits import Fence
 from tests.unit.companion.guard.gate_helpers import LIMITS, SQUARE, motion
 
 HOUSE = ((10.0, -20.0), (20.0, -20.0), (20.0, 20.0), (10.0, 20.0))

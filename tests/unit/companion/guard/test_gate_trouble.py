@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from companion.geometry.polygons import Point, depth_m
-from companion.guard.fence import Fence
 from companion.guard.gate import Guard, Guarded, GuardReason
+from companion.guard.limits import Fence
 from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams, approach_velocity
 from tests.unit.companion.guard.gate_helpers import GUARD, LIMITS, START, motion
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from companion.guard.envelope import Reserve
 from companion.guard.gate import Guard, Guarded, GuardReason
+from companion.guard.limits import Reserve
 from tests.unit.companion.guard.gate_helpers import LIMITS, START, flown
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from companion.guard.fence import Fence
 from companion.guard.gate import AT_REST, Guard, Guarded, GuardReason, Motion, Position
+from companion.guard.limits import Fence
 from tests.unit.companion.guard.gate_helpers import (
     GUARD,
     HIGH_M,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.guard.envelope import Reserve
+from companion.guard.limits import Reserve
 
 RESERVE = Reserve(reserve_pct=20.0, cost_pct_per_km=10.0)
 

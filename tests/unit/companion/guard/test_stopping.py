@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from companion.guard.envelope import Stopping, ahead
+from companion.guard.limits import Stopping, ahead
 
 STOPPING = Stopping(latency_s=0.5, deceleration_mps2=2.0, navigation_sigma_m=0.3)
 

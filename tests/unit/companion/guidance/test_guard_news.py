@@ -3,8 +3,8 @@ from __future__ import annotations
 import math
 
 from companion.domain import BatteryLevel, FlightMode
-from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
+from companion.guard.limits import Fence
 from companion.guidance.commands import Record
 from companion.guidance.events import BatteryReported
 from companion.guidance.messages import FenceMessages, GuardMessages

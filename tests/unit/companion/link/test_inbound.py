@@ -18,7 +18,8 @@ from companion.guidance.events import (
 )
 from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.link.conversion.clock_sync import ClockSync
-from companion.link.inbound import VehicleInbound
+from companion.link.inbound import TIMESYNC, VehicleInbound, is_time_question
+from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import (
     ARDUPILOT,
@@ -333,3 +334,14 @@ def test_a_clock_that_runs_wild_tells_nothing(make: Callable[[int], Message]) ->
         if inbound.events(make(round(2000.0 * now_s)), now_s):
             told.append(now_s)
     assert told[-1] == pytest.approx(1.0, abs=0.11)
+
+
+@pytest.mark.parametrize("is_mavlink1", [False, True])
+@pytest.mark.parametrize(("tc1", "is_question"), [(0, True), (1, False), (1 << 56, False)])
+def test_an_autopilots_question_for_the_time_is_distinguished_from_an_answer(
+    tc1: int, is_question: bool, is_mavlink1: bool
+) -> None:
+    message = mavlink.MAVLink_timesync_message(tc1, 5_000_000_000)
+    frame = MavCodec(1, 1).encode(message, is_mavlink1=is_mavlink1)
+    assert is_time_question(frame, TIMESYNC) is is_question
+    assert not is_time_question(frame, mavlink.MAVLINK_MSG_ID_PING)

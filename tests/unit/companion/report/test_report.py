@@ -19,8 +19,8 @@ from companion.errors import ConfigError
 from companion.estimation.filters.robust_update import asymmetric_huber_loss
 from companion.flight_setup import FlightFacts, write_facts
 from companion.geometry.coordinates import Projection, tile_at
-from companion.guard.fence import Fence
 from companion.guard.gate import GuardReason
+from companion.guard.limits import Fence
 from companion.guidance.messages import FenceMessages, GuardMessages
 from companion.handoff import mgrs_text
 from companion.io.files import EVENTS

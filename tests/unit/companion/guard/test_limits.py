@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from companion.guard.envelope import Envelope
+from companion.guard.limits import Envelope
 
 ENVELOPE = Envelope(
     altitude_min_m=5.0,
