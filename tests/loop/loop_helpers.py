@@ -27,7 +27,7 @@ from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.addressing import Newest
-from sim_link.autopilot.scenario import Scenario
+from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
@@ -42,6 +42,7 @@ from sim_link.lab.lockstep.observer import Frame, Lane, Observer
 
 __all__ = [
     "AUTO",
+    "SELDOM",
     "Fault",
     "LinkFaults",
     "Loop",
@@ -54,6 +55,8 @@ __all__ = [
 ]
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
+SELDOM = PayloadParams(rate_hz=4.0)
+"""For flights whose subject is not the estimate: half of their time is its."""
 BOOT_S = 3.0
 """After this long the simulated autopilot can be armed."""
 Radio = Callable[[SimEndpoint, float], bytes | None]
@@ -168,6 +171,8 @@ class OwnRadio(Observer):
 P = ParamSpec("P")
 Flown = TypeVar("Flown")
 MOST_BEGINNINGS = 6
+FUSED_S = 1.0
+"""Measurements of a flight are fused within this long."""
 
 
 def _newest(values: Newest[Any, Any]) -> tuple[Any, ...]:
@@ -194,8 +199,8 @@ def _constants() -> dict[int, Any]:
 def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
     """Fly a beginning once for all tests that share its arguments; each continues a copy.
 
-    A copy takes some 20 ms, a take-off half a second. A flight that is copied while a fit is in
-    progress (a generator, which cannot be copied) is flown every time.
+    A copy takes some 20 ms, a take-off half a second. A fit in progress is a generator, which
+    cannot be copied: the beginning goes on until it is over, some ten milliseconds.
     """
     flown: OrderedDict[str, Flown] = OrderedDict()
 
@@ -204,14 +209,18 @@ def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
         key = repr((args, sorted(kwargs.items())))
         if key not in flown:
             flown[key] = begin(*args, **kwargs)
+            _end_fits(getattr(flown[key], "flight", None))
             if len(flown) > MOST_BEGINNINGS:
                 flown.popitem(last=False)
-        try:
-            return copy.deepcopy(flown[key], _constants())
-        except TypeError:
-            return flown.pop(key)
+        return copy.deepcopy(flown[key], _constants())
 
     return copied
+
+
+def _end_fits(flight: Flight | None) -> None:
+    """Let time pass until all measurements are fused."""
+    if flight is not None and flight.is_companion_up:
+        run_until(flight, lambda: not flight.companion.session.is_behind, FUSED_S)
 
 
 def of_system(config: CompanionConfig, system_id: int) -> CompanionConfig:

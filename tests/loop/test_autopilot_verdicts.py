@@ -14,7 +14,7 @@ from sim_link.autopilot.incidents import (
     RcLoss,
 )
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, GpsParams, RcParams, Scenario
-from tests.loop.loop_helpers import AUTO, Loop, flown_once
+from tests.loop.loop_helpers import AUTO, SELDOM, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 GOES_ON_WITHOUT_RC = {"px4": {"COM_RCL_EXCEPT": 4.0}, "ardupilot": {"FS_OPTIONS": 4.0}}
@@ -30,6 +30,7 @@ def flying(flavour: FlavourName, receivers: int = 1, *, has_rc: bool = False) ->
         autopilot=AutopilotParams(flavour=flavour, parameters=parameters),
         gps=GpsParams(receivers=2 if receivers == 2 else 1),
         rc=RcParams(is_present=has_rc),
+        payload=SELDOM,
     )
     loop = Loop(AUTO, scenario, 2)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 40.0)

@@ -64,17 +64,22 @@ def crowded(texts: list[tuple[float, str]]) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("flavour", FLAVOURS)
+FLAPPING = [
+    (POSITION, AT_0_4_HZ, HOME, False),
+    (POSITION, AT_0_4_HZ, (), False),
+    (POSITION, AT_0_4_HZ, (), True),
+    (("RADIO_RANGING",), 3.0, (), True),
+    (("GPS_RAW_INT",), AT_0_4_HZ, (), True),
+]
+
+
 @pytest.mark.parametrize(
-    ("streams", "half_s", "missing", "flies"),
+    ("flavour", "streams", "half_s", "missing", "flies"),
     [
-        (POSITION, AT_2_HZ, HOME, False),
-        SLOW(POSITION, AT_0_4_HZ, HOME, False),
-        SLOW(POSITION, AT_0_4_HZ, (), False),
-        SLOW(POSITION, AT_0_4_HZ, (), True),
-        SLOW(("RADIO_RANGING",), 3.0, (), True),
-        SLOW(("GPS_RAW_INT",), AT_0_4_HZ, (), True),
-        (ALL, AT_0_4_HZ, (), True),
+        *((flavour, POSITION, AT_2_HZ, HOME, False) for flavour in FLAVOURS),
+        ("ardupilot", ALL, AT_0_4_HZ, (), True),
+        SLOW("px4", ALL, AT_0_4_HZ, (), True),
+        *(SLOW(flavour, *each) for flavour in FLAVOURS for each in FLAPPING),
     ],
 )
 def test_what_flaps_makes_few_texts(

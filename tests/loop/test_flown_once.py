@@ -16,7 +16,7 @@ def searching(flavour: FlavourName) -> Loop:
     return loop
 
 
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("flavour", ["px4", pytest.param("ardupilot", marks=pytest.mark.slow)])
 def test_copies_and_the_flight_itself_go_on_alike_and_apart(flavour: FlavourName) -> None:
     first, second, third = (searching(flavour) for _ in range(3))
     began = bytearray(third.companion_bytes), bytearray(third.vehicle_bytes)

@@ -9,11 +9,11 @@ from companion.guidance.flight.vehicle import MODE_UNKNOWN_AFTER_S
 from companion.guidance.phases import IN_CONTROL
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.faults.fault_models import StreamMute
-from tests.loop.test_other_vehicles import FLAVOURS, in_control
+from tests.loop.test_other_vehicles import FLAVOURS, SLOW, in_control
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
-@pytest.mark.parametrize("lost_s", [2.5, 8.0, MODE_UNKNOWN_AFTER_S + 5.0])
+@pytest.mark.parametrize("lost_s", [2.5, SLOW(8.0), MODE_UNKNOWN_AFTER_S + 5.0])
 def test_heartbeats_lost_after_a_mode_switch_give_no_control_back(
     flavour: FlavourName, lost_s: float
 ) -> None:

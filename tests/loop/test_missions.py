@@ -58,7 +58,7 @@ def test_a_short_hop_on_both_autopilots(flavour: FlavourName) -> None:
     assert result.record.ended_s < 40.0
 
 
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize("flavour", ["px4", pytest.param("ardupilot", marks=pytest.mark.slow)])
 def test_the_checklist_of_the_first_flight_is_flown_as_it_stands(flavour: FlavourName) -> None:
     """Control is taken back once and given again by the switch alone, after `ready`."""
     page = (LIBRARY.parents[1] / "docs" / "first-flight.md").read_text()

@@ -44,7 +44,7 @@ def stall(loop: Loop, duration_s: float = STALL_S) -> float:
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
-@pytest.mark.parametrize("duration_s", [1.2, 3.0, 8.0])
+@pytest.mark.parametrize("duration_s", [1.2, pytest.param(3.0, marks=pytest.mark.slow), 8.0])
 def test_the_first_setpoints_after_it_stay_where_the_vehicle_is_and_the_search_goes_on(
     flavour: FlavourName, duration_s: float
 ) -> None:

@@ -12,7 +12,7 @@ from companion.link.autopilot_queries import PATIENCE_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, StreamMute
-from tests.loop.loop_helpers import AUTO, Loop, flown_once
+from tests.loop.loop_helpers import AUTO, SELDOM, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 AUTOPILOTS = {"px4": Autopilot.PX4, "ardupilot": Autopilot.ARDUPILOT}
@@ -35,7 +35,9 @@ LEANT_ON = tuple(
 
 
 def start(flavour: FlavourName, config: CompanionConfig) -> Loop:
-    return Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)), seed=3)
+    return Loop(
+        config, Scenario(autopilot=AutopilotParams(flavour=flavour), payload=SELDOM), seed=3
+    )
 
 
 @flown_once

@@ -117,21 +117,29 @@ def test_what_a_file_has_of_terminal_commands_is_printed_escaped(tmp_path: Path)
 CLOSED = [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "| true", "2>&1 | true", "> /dev/null <&-"]
 
 
-@pytest.mark.parametrize("redirection", CLOSED)
+COMMANDS = {
+    "companion config schema": 0,
+    "companion config show --config none.yaml": 2,
+    "companion config show": 0,
+    "companion --help": 0,
+    "companion --version": 0,
+    "companion radio list": 0,
+}
+LONG, REFUSED, *OTHERS = COMMANDS
+"""A long output, and one on standard error, with every redirection; the others with two."""
+
+
 @pytest.mark.parametrize(
-    ("command", "code"),
+    ("command", "redirection"),
     [
-        ("companion config show", 0),
-        ("companion config schema", 0),
-        ("companion --help", 0),
-        ("companion --version", 0),
-        ("companion radio list", 0),
-        ("companion config show --config none.yaml", 2),
+        *((command, each) for command in (LONG, REFUSED) for each in CLOSED),
+        *((command, each) for command in OTHERS for each in (">&- 2>&-", "2>&1 | true")),
     ],
 )
 def test_closed_streams_are_quiet_and_the_exit_code_is_the_same(
-    tmp_path: Path, redirection: str, command: str, code: int
+    tmp_path: Path, command: str, redirection: str
 ) -> None:
+    code = COMMANDS[command]
     done = run(f"set -o pipefail; {command} {redirection}", tmp_path)
     assert done.returncode == code
     assert b"Traceback" not in done.stderr

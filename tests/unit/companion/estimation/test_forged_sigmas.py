@@ -54,7 +54,7 @@ def looks(seed: int, sigma: float, share: float = 0.1) -> list[tuple[EstimateSta
     return found
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3))])
 @pytest.mark.parametrize("sigma", [1e-6, 1e-3, 1.0])
 def test_a_tenth_of_forged_readings_with_a_tiny_sigma_localises_no_wrong_place(
     seed: int, sigma: float

@@ -103,10 +103,15 @@ def flown(
         tracker.fuse(seen, (*place, HIGH_M), 0.25 * number, OWN)
 
 
-@pytest.mark.parametrize("p0_dbm", [None, -40.0])
-def test_power_alone_locates_to_tens_of_metres_and_says_so(p0_dbm: float | None) -> None:
+@pytest.mark.parametrize(
+    ("p0_dbm", "flights"),
+    [(None, 4), *(pytest.param(p0_dbm, 8, marks=pytest.mark.slow) for p0_dbm in (None, -40.0))],
+)
+def test_power_alone_locates_to_tens_of_metres_and_says_so(
+    p0_dbm: float | None, flights: int
+) -> None:
     errors_m, radii_m = [], []
-    for seed in range(8):
+    for seed in range(flights):
         tracker = TargetTracker(TrackerParams(filter=FilterParams(power_at_1m_dbm=p0_dbm)))
         flown(tracker, seed)
         estimate = tracker.estimate(60.0)

@@ -45,7 +45,7 @@ def test_the_study_sees_a_model_that_is_too_hopeful(monkeypatch: pytest.MonkeyPa
         return world, msgspec.structs.replace(model, reach_m=1.7 * model.reach_m)
 
     monkeypatch.setattr(study, "draw_world", hopeful)
-    error, sigma = error_of([trial for number in range(20) for trial in fly(number, SEED)])
+    error, sigma = error_of([trial for number in range(10) for trial in fly(number, SEED)])
     assert error < -3.0 * sigma
 
 
