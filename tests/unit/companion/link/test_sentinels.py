@@ -93,15 +93,16 @@ def known_after(message: Message) -> tuple[VehicleView, list[Event]]:
     return vehicle, events
 
 
-@pytest.mark.parametrize(("name", "field", "value"), list(spoilt()))
-def test_what_nobody_knows_is_never_a_number(name: str, field: str, value: float) -> None:
-    message = reports()[name]
-    setattr(message, field, value)
-    vehicle, events = known_after(message)
-    told = [vehicle.motion, vehicle.origin, vehicle.battery_pct, vehicle.track.latest_yaw]
-    for number in (*numbers(told), *numbers([] if name in BEYOND else events)):
-        assert math.isfinite(number)
-        assert abs(number) <= MOST
+@pytest.mark.parametrize("name", sorted({name for name, _, _ in spoilt()}))
+def test_what_nobody_knows_is_never_a_number(name: str) -> None:
+    for field, value in [(field, value) for other, field, value in spoilt() if other == name]:
+        message = reports()[name]
+        setattr(message, field, value)
+        vehicle, events = known_after(message)
+        told = [vehicle.motion, vehicle.origin, vehicle.battery_pct, vehicle.track.latest_yaw]
+        for number in (*numbers(told), *numbers([] if name in BEYOND else events)):
+            assert math.isfinite(number), (field, value)
+            assert abs(number) <= MOST, (field, value)
 
 
 def test_the_good_ones_are_known() -> None:
