@@ -200,7 +200,8 @@ def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
     """Fly a beginning once for all tests that share its arguments; each continues a copy.
 
     A copy takes some 20 ms, a take-off half a second. A fit in progress is a generator, which
-    cannot be copied: the beginning goes on until it is over, some ten milliseconds.
+    cannot be copied: the beginning goes on until it is over, some ten milliseconds. A beginning
+    that keeps one nevertheless, as of a companion that was killed, is flown every time.
     """
     flown: OrderedDict[str, Flown] = OrderedDict()
 
@@ -212,7 +213,10 @@ def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
             _end_fits(getattr(flown[key], "flight", None))
             if len(flown) > MOST_BEGINNINGS:
                 flown.popitem(last=False)
-        return copy.deepcopy(flown[key], _constants())
+        try:
+            return copy.deepcopy(flown[key], _constants())
+        except TypeError:
+            return flown.pop(key)
 
     return copied
 
