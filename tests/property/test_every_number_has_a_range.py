@@ -29,7 +29,7 @@ EVERY_DAY = tuple(EXTREMES[n] for n in (0, 1, 2, 3, 4, 5, 8, 10, 12, 15))
 SIZES = [EVERY_DAY, pytest.param(EXTREMES, marks=pytest.mark.slow)]
 SLOW = pytest.mark.slow
 TARGET = (30.0, 40.0, 0.0)
-COUNT = 70
+COUNT = 50
 """Measurements of a flight: past the check of the antenna, which needs 40 bearings."""
 AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 
