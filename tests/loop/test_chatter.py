@@ -18,7 +18,7 @@ from sim_link.lab.lockstep.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, Loop
 
 SLOW = partial(pytest.param, marks=pytest.mark.slow)
-LASTS_S = 100.0
+LASTS_S = 80.0
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 AT_2_HZ, AT_0_4_HZ = 0.25, 1.25
 """Half a period, seconds: shorter than every patience, and longer than most."""

@@ -30,6 +30,8 @@ OFTEN_PX4 = ("px4", SLOW("ardupilot"))
 """Every day on one: reading and keeping of a fence is tried on both by the tests that shrink it."""
 FAR = EmitterParams(position_enu_m=(90.0, 60.0))
 MARGIN_M = 3.0
+ACROSS_S = 25.0
+"""At 5 m/s a vehicle that goes on to the emitter has left 40 m long before."""
 REACTION_S = 12.0
 """A fence without an id is read every 10 s, and a fence of 4 items within a second."""
 
@@ -118,7 +120,7 @@ def test_a_fence_that_shrinks_before_control_is_the_one_that_is_kept(
     loop.run(2.0)
     loop.choose(FlightMode.OFFBOARD)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 20.0)
-    loop.run(40.0)
+    loop.run(ACROSS_S)
     assert farthest_out_m(loop, square(30.0), 0) < 0.0
     assert loop.phase in IN_CONTROL
 
@@ -132,7 +134,7 @@ def test_a_fence_that_shrinks_in_control_is_kept_once_it_can_be_known(
     change(loop, StationFence(half_side_m=40.0))
     loop.run(REACTION_S)
     since = len(loop.true_positions)
-    loop.run(40.0)
+    loop.run(ACROSS_S)
     assert farthest_out_m(loop, square(40.0), since) < 0.0
     assert loop.phase in IN_CONTROL
     assert loop.said("the autopilot's fence changed in flight: keeping to 2 until landing")
@@ -158,7 +160,7 @@ def test_a_fence_that_widens_or_goes_in_flight_widens_nothing(
     change(loop, StationFence(half_side_m=150.0))
     loop.run(15.0)
     change(loop, StationFence(half_side_m=None))
-    loop.run(40.0)
+    loop.run(ACROSS_S)
     assert farthest_out_m(loop, square(45.0), 0) < 0.0
     assert loop.phase in IN_CONTROL
 
@@ -188,7 +190,7 @@ def test_fences_that_overlap_in_part_are_kept_together(flavour: Flavour) -> None
     change(loop, StationFence(half_side_m=60.0, north_m=25.0, is_circle=True))
     loop.run(REACTION_S)
     since = len(loop.true_positions)
-    loop.run(40.0)
+    loop.run(ACROSS_S)
     assert farthest_out_m(loop, square(60.0, 20.0), since) < 0.0
     reach_m = [((p[0]) ** 2 + (p[1] - 25.0) ** 2) ** 0.5 for p in loop.true_positions[since:]]
     assert max(reach_m) < 60.0

@@ -126,14 +126,14 @@ COMMANDS = {
     "companion radio list": 0,
 }
 LONG, REFUSED, *OTHERS = COMMANDS
-"""A long output, and one on standard error, with every redirection; the others with two."""
+"""A long output, and one on standard error, with every redirection; the others with one."""
 
 
 @pytest.mark.parametrize(
     ("command", "redirection"),
     [
         *((command, each) for command in (LONG, REFUSED) for each in CLOSED),
-        *((command, each) for command in OTHERS for each in (">&- 2>&-", "2>&1 | true")),
+        *zip(OTHERS, 2 * (">&- 2>&-", "2>&1 | true"), strict=True),
     ],
 )
 def test_closed_streams_are_quiet_and_the_exit_code_is_the_same(
