@@ -276,8 +276,10 @@ class Shell:
             return
         self._is_drained = False
         read_s, speed = time.monotonic(), self._clock.speed
-        ages_s = [0.0 if each.arrived_s is None else read_s - each.arrived_s for each in arrived]
-        for age_s, chunk in sorted(zip(ages_s, arrived, strict=True), key=lambda it: -it[0]):
+        if len(self.links) > 1:  # one link hands over in the order of arrival
+            arrived.sort(key=lambda each: read_s if each.arrived_s is None else each.arrived_s)
+        for chunk in arrived:
+            age_s = 0.0 if chunk.arrived_s is None else read_s - chunk.arrived_s
             self._handed_s = max(self._handed_s, now_s - age_s * speed)
             self._endpoint.receive(chunk, self._handed_s)
 
