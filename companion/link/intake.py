@@ -33,8 +33,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.text_gate import CAUSE_PERIOD_S
 from companion.link.binding import AutopilotBinding
-from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk

@@ -21,10 +21,10 @@ from collections.abc import Callable, Sequence
 
 from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.text_gate import TextGate
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
-from companion.link.texts import TextGate
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from companion.mav.endpoint import Address, Chunk

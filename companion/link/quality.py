@@ -30,11 +30,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.text_gate import CAUSE_PERIOD_S
 from companion.link.binding import AutopilotBinding
 from companion.link.intake import Intake, RateLimit
 from companion.link.interface import LinkParams
 from companion.link.radio_stage import RadioStage
-from companion.link.texts import CAUSE_PERIOD_S
 
 MODULUS = 256
 HALF = MODULUS // 2

@@ -21,9 +21,9 @@ from typing import Protocol, get_args
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.text_gate import CAUSE_PERIOD_S
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.link.intake import RateLimit
-from companion.link.texts import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 

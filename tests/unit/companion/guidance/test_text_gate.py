@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.commands import Announce, Severity, Topic
-from companion.link.texts import CAUSE_PERIOD_S, MOST_CAUSES, TextGate
+from companion.guidance.text_gate import CAUSE_PERIOD_S, MOST_CAUSES, TextGate
 
 BYTES_PER_S = 5760.0
 
