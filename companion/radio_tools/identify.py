@@ -35,6 +35,8 @@ HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
 fast."""
 ASKED_SHARE = 1.0
 """Share of the time for each radio that is polled."""
+PLAYED = "?play=10"
+"""Speed at which a file is played that may be a log: a hundred lines a second."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """This many bytes with this share of non-text and no reading mean another speed."""
 FEWEST_POWERS = 3
@@ -187,7 +189,8 @@ class Attempt:
 def attempts(url: str) -> list[Attempt]:
     """Return the ways to listen at a URL, in order: speeds of a serial port, pages of a host.
 
-    Radios that only answer are asked before the other speeds, each at its default speed.
+    Radios that only answer are asked before the other speeds, each at its default speed. A file is
+    played from its beginning, then followed as one that grows.
     """
     head = url.partition(":")[0].lower()
     if url.startswith("/") or head == "serial":
@@ -204,6 +207,8 @@ def attempts(url: str) -> list[Attempt]:
         if head in (plain, f"{plain}s"):
             served = [n for n in BUILT_IN if radio_kind(n).transport.startswith(plain)]
             return [Attempt(name, url) for name in served]
+    if head == "file" and "?" not in url:  # its first lines may name the columns
+        return [Attempt("ndjson", url + PLAYED), Attempt("ndjson", url)]
     names = _asked() if head.startswith("tcp") else []
     heard = [Attempt("ndjson", url, share=HEARD_SHARES[0])]
     return heard + [Attempt(name, url, share=ASKED_SHARE) for name in names]
@@ -261,6 +266,8 @@ def identify(
 def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
     kind = radio_kind(found.name)
     at = url if attempt.baud is None else attempt.url
+    if attempt.url == url + PLAYED:
+        at = f"{url}?play=1"
     speed = "" if attempt.baud is None else f" at {attempt.baud} baud"
     names = ", ".join(sorted(str(each) for each in found.emitters if each is not None)[:4])
     emitters = f"; emitters {names}" if names else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -246,3 +247,20 @@ def test_what_is_no_radio_is_said_with_what_was_heard() -> None:
     code, text = identify("udp:127.0.0.1:5005", hear=lambda *_: None)
     assert code == 1
     assert text.startswith("nothing heard at udp:127.0.0.1:5005 in 10 s")
+
+
+def test_a_log_is_read_from_its_first_line_which_names_the_columns(tmp_path: Path) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_bytes(printed(next(each for each in ALL if each.name == "android_rtt")))
+
+    code, text = identify(f"file:{path}", seconds=5.0)
+
+    assert code == 0, text
+    assert text.startswith("android_rtt: ")
+    assert f"file:{path}?play=1'" in text
+
+
+def test_a_file_that_grows_is_followed_when_its_beginning_says_nothing() -> None:
+    first, second = attempts("file:log.txt")
+    assert (first.url, second.url) == ("file:log.txt?play=10", "file:log.txt")
+    assert [each.url for each in attempts("file:log.txt?play=2")] == ["file:log.txt?play=2"]
