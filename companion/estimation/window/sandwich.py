@@ -329,8 +329,8 @@ def stretch_covariance(
 
     `profiled` is the cost with the other states solved again, which rises by the profiled curvature
     1 / v^T A^-1 v in direction v; it is evaluated only where `cost`, which is never less, rises
-    enough. Each side has its own stretch, and its share of the probability is that of its width. A
-    step is `worth` so many measurements.
+    enough. With it each side has its own stretch, and its share of the probability is that of its
+    width. A step is `worth` so many measurements.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
     sigma_m = math.sqrt(max(float(values[1]), 0.0))
@@ -349,8 +349,10 @@ def stretch_covariance(
     one, other = sides
     if one == other == 1.0:
         return covariance
-    # second moment about the mode of a normal whose two halves have these deviations
-    stretch2 = one * one - one * other + other * other
+    stretch2 = max(one, other) ** 2
+    if profiled is not None:
+        # second moment about the mode of a normal whose two halves have these deviations
+        stretch2 = one * one - one * other + other * other
     wider: Matrix = covariance + (stretch2 - 1.0) * np.outer(axis, axis)
     return wider
 
@@ -366,8 +368,9 @@ def _stretch(
 ) -> Steps[float]:
     """Return the factor on `edge` (k,) at which the cost has risen from `base` by enough.
 
-    Between two factors that were tried, the root of the rise is taken as linear, as it is of a
-    parabola.
+    Between two factors that were tried, the root of a profiled rise is taken as linear, as it is of
+    a parabola. Other costs rise by too much, because the rest of the state stays: the factor is the
+    next one.
     """
     wanted = MIN_RISE_SHARE * promised
     last, below = 0.0, 0.0
@@ -382,7 +385,7 @@ def _stretch(
         last, below = factor, max(rise, 0.0)
     else:
         return factor
-    if last == 0.0:
+    if last == 0.0 or profiled is None:
         return factor
     share = (math.sqrt(wanted) - math.sqrt(below)) / (math.sqrt(rise) - math.sqrt(below))
     return last + share * (factor - last)
