@@ -23,6 +23,8 @@ from companion.planning.planner import Planner, PlanRequest
 
 TARGET_M = (12.0, 9.0)
 RADIUS_M = 20.0
+FAR_M = 500.0
+"""Distance from which a target is approached from the side by an array, beyond any overshoot."""
 HEIGHT_M = 15.0
 SMALL_WINDOW = 32
 """Measurements; the least that a configuration may have, so it is full and thinned out soonest.
@@ -60,6 +62,7 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
             joint_covariance=tracker.hypotheses[0].state.covariance[:4, :4],
         )
         memory = planner.plan(request, memory).memory
+        planner.plan(replace(request, vehicle_enu_m=(FAR_M, 0.0)), None)
 
 
 def _seen(

@@ -71,5 +71,6 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     warm_up(params, planner)
     assert set(kinds) == {(True, True), (True, False), (False, True)}
     assert min(kinds.values()) > module.SMALL_WINDOW
-    assert len(planner.requests) == 3
+    asked_from = [request.vehicle_enu_m[0] for request in planner.requests]
+    assert asked_from == 3 * [module.RADIUS_M, module.FAR_M]  # near it, and on the way to it
     assert all(request.estimate is not None for request in planner.requests)
