@@ -57,7 +57,7 @@ from companion.planning.search import SearchPlanner, SearchThenCross
 from companion.planning.search_probability import ProbabilityPlanner
 from companion.planning.views import Antenna
 from companion.search.outlook import LegTable
-from companion.search.search_site import SearchSite
+from companion.search.search_grid import SearchSite
 
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
 """Number of direction rows for the choice of crossings; 0: as in the paper."""

@@ -29,8 +29,7 @@ from companion.config.loader import read_text
 from companion.errors import ConfigError, how_to_install
 from companion.geometry.geofence import GeoFence, LatLon
 from companion.geometry.polygons import is_simple
-from companion.search.search_grid import MOST_CELLS
-from companion.search.search_site import SearchSite, SiteArea, SiteRaster, grid_of_site
+from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
 
 MOST_CORNERS = 2000
 """Of all polygons: the grid takes a quarter of a second then."""

@@ -29,7 +29,6 @@ from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.handoff import mgrs_text, utc_text
 from companion.io.files import EVENTS, REPORT, write_text_atomic
 from companion.io.logs.log_files import damage_text, event_lines
-from companion.report.basemap import pictures_of
 from companion.report.charts import (
     Chart,
     MapLayers,
@@ -38,6 +37,7 @@ from companion.report.charts import (
     flight_map,
     histogram,
     no_pictures,
+    pictures_of,
 )
 from companion.report.flight_summary import (
     EventRow,

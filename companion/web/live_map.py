@@ -39,8 +39,14 @@ from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.io.files import json_line
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
-from companion.view.history import CurveHistory, FlightTrack, History, HistoryPart, HistoryReader
-from companion.view.searched_map import SearchedHistory
+from companion.view.history import (
+    CurveHistory,
+    FlightTrack,
+    History,
+    HistoryPart,
+    HistoryReader,
+    SearchedHistory,
+)
 from companion.view.snapshot import Json, TimeToGo, picture_of, scene_of
 from companion.web.settings import LEFT, VIEWED, WebSettings
 

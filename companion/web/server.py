@@ -31,8 +31,7 @@ from nicegui import Client, ui
 from nicegui.element import Element
 
 from companion.io.files import json_line
-from companion.view.history import History, HistoryPart, HistoryReader
-from companion.view.searched_map import PackedState, drawn
+from companion.view.history import History, HistoryPart, HistoryReader, PackedState, drawn
 from companion.web.command_buttons import CommandButtons, HandoffButton, Press
 from companion.web.panels import (
     AgeBars,

@@ -25,7 +25,6 @@ import numpy as np
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.framing import MAGIC_V1
-from sim_link.autopilot import radio_payload
 from sim_link.autopilot.aircraft import Occurrence
 from sim_link.autopilot.incidents import (
     AutopilotStall,
@@ -36,7 +35,14 @@ from sim_link.autopilot.incidents import (
     VehicleReboot,
     WindChange,
 )
-from sim_link.autopilot.other_senders import STATION_CHANNEL, OtherComponentSender, station_orders
+from sim_link.autopilot.other_senders import (
+    PAYLOAD_ID,
+    STATION_CHANNEL,
+    OtherComponentSender,
+    RadioPayload,
+    reject_command,
+    station_orders,
+)
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
@@ -91,7 +97,7 @@ class SimEndpoint:
         self._unix_minus_local_s = security.started_unix_s - started_s
         self.is_finished = False
         self._output: list[Chunk] = []
-        components = (mavlink.MAV_COMP_ID_AUTOPILOT1, radio_payload.COMPONENT_ID)
+        components = (mavlink.MAV_COMP_ID_AUTOPILOT1, PAYLOAD_ID)
         dialect = FLAVOURS[scenario.autopilot.flavour].kind.firmware.dialect
         self.links = LinkLayer(scenario.system_id, components, len(links), security, dialect)
         self.recorder = FlightRecorder()
@@ -115,7 +121,7 @@ class SimEndpoint:
         self.vehicle.flavour.parameters.load_text(parameters, name)
         self._services = Services(self.vehicle, self._links, self.links.router.knows)
         self.links.keep_apart(self._services.requests.channels)
-        self._payload = radio_payload.RadioPayload(
+        self._payload = RadioPayload(
             scenario.payload,
             scenario.channel,
             [Emitter(params) for params in (scenario.emitter, *scenario.emitters)],
@@ -256,9 +262,9 @@ class SimEndpoint:
         answers = services.handle(message, channel, boot_s)
         self.links.keep_apart(services.requests.channels)
         self._send_all(answers)
-        refused = radio_payload.reject_command(message, self._scenario.system_id)
+        refused = reject_command(message, self._scenario.system_id)
         if refused is not None:
-            self._send_all([Outgoing(refused, channel)], radio_payload.COMPONENT_ID)
+            self._send_all([Outgoing(refused, channel)], PAYLOAD_ID)
 
     def _step(self, boot_s: float) -> None:
         self.vehicle.flavour.step(boot_s)
@@ -272,7 +278,7 @@ class SimEndpoint:
             if message is not None:
                 self._send_all([Outgoing(message, channel)])
         heard = self._payload.messages(self.vehicle.body, boot_s, self.vehicle.stamp_s)
-        self._send_all([Outgoing(each) for each in heard], radio_payload.COMPONENT_ID)
+        self._send_all([Outgoing(each) for each in heard], PAYLOAD_ID)
 
     def _send_all(self, outgoing: list[Outgoing], component_id: int | None = None) -> None:
         for item in outgoing:

@@ -32,7 +32,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of
 from companion.mav.ranging import message_from_ranging
-from sim_link.autopilot.radio_payload import COMPONENT_ID, payload_heartbeat
+from sim_link.autopilot.other_senders import PAYLOAD_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.emulators.emulator import Answer, Emulator, Round
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams, Environment
@@ -105,7 +105,7 @@ class RadioFollower(OneShotEndpoint):
         self._emitters: tuple[Emitter, ...] = ()
         self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
         self._link = SEND if has_own_link or emulator is not None else FOLLOW
-        self._codec = MavCodec(1, COMPONENT_ID)
+        self._codec = MavCodec(1, PAYLOAD_ID)
         self._reader = MavCodec(0, 0)
         self._peer: Address | None = None
         self._projection = Projection.ELLIPSOID

@@ -21,8 +21,14 @@ from companion.guidance.flight.vehicle import VehicleView
 from companion.search.detection_model import DetectionModel
 from companion.search.first_contact import LearntReach, SearchPrior, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
-from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
-from companion.search.search_site import SearchSite, grid_of_site, share_outside
+from companion.search.search_grid import (
+    SearchGrid,
+    SearchSite,
+    WeightedArea,
+    grid_of_site,
+    grid_over,
+    share_outside,
+)
 from companion.search.searched_area import SearchedArea, SearchState
 from companion.search.searched_flight import (
     ReachSource,

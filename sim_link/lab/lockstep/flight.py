@@ -30,9 +30,9 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.flight_modes import set_mode_params
 from companion.mav.signing import LinkSigning
-from sim_link.autopilot import radio_payload
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import IncidentRecord, OtherVehicle, PilotMode, VehicleReboot
+from sim_link.autopilot.other_senders import PAYLOAD_ID
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet.neighbours import COMPONENT_BYTE, Neighbour
 from sim_link.lab.lockstep.observer import (
@@ -270,7 +270,7 @@ class Flight:
         for chunk in self.sim.take_output():
             if COMPANION_PEER in chunk.except_peers or chunk.peer not in (None, COMPANION_PEER):
                 continue  # forwarded to someone else
-            is_payload = chunk.data[COMPONENT_BYTE] == radio_payload.COMPONENT_ID
+            is_payload = chunk.data[COMPONENT_BYTE] == PAYLOAD_ID
             if is_payload and not self.is_ranging_up:
                 continue
             self._notify("vehicle_sent", chunk.data, Lane.TO_COMPANION)

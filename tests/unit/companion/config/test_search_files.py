@@ -14,7 +14,7 @@ from companion.config.schema import load_config, with_fence
 from companion.config.search_files import read_search_site
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin
-from companion.search.search_site import SiteRaster, grid_of_site
+from companion.search.search_grid import SiteRaster, grid_of_site
 
 ORIGIN = LocalOrigin(47.0, 8.0, 400.0)
 RING = [[8.0, 47.0], [8.002, 47.0], [8.002, 47.002], [8.0, 47.002], [8.0, 47.0]]

@@ -15,7 +15,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.search.outlines import gaps_of
 from companion.search.search_grid import MOST_CELLS, SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchState
-from companion.view.searched_map import PackedState, SearchedHistory, drawn
+from companion.view.history import PackedState, SearchedHistory, drawn
 
 TRIANGLE = WeightedArea(((0.0, 0.0), (200.0, 0.0), (0.0, 160.0)), 3.0)
 BESIDE = WeightedArea(((200.0, 0.0), (400.0, 0.0), (400.0, 160.0), (200.0, 160.0)), 1.0)

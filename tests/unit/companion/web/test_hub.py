@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from companion.io.files import plain
 from companion.search.search_grid import WeightedArea, grid_over
 from companion.search.searched_area import SearchState
-from companion.view.searched_map import PackedState, drawn
+from companion.view.history import PackedState, drawn
 from companion.web import server
 from companion.web.server import PictureFeed
 from companion.web.settings import Access
