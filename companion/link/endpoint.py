@@ -30,7 +30,7 @@ from companion.link.gcs_services import (
     StationRequest,
     TunableBook,
 )
-from companion.link.inbound import UNREAD, is_time_question
+from companion.link.inbound import TIMESYNC, UNREAD, is_time_question
 from companion.link.intake import Authenticity, FloodShield, Intake
 from companion.link.interface import (
     EndpointParams,
@@ -278,7 +278,8 @@ class CompanionEndpoint:
 
     def _report_ranging(self, measurements: list[RangingMeasurement], now_s: float) -> None:
         for measurement in measurements:
-            self.executor.handle(events.RangingReceived(now_s, measurement), now_s)
+            for command in self.session.handle(events.RangingReceived(now_s, measurement)):
+                self.executor.execute(command, now_s)
 
     def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
         if self._recorder is not None:
@@ -314,7 +315,7 @@ class CompanionEndpoint:
         is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
-        if number in UNREAD or is_time_question(frame, number):
+        if number in UNREAD or (number == TIMESYNC and is_time_question(frame)):
             if is_proved:
                 self.executor.note_unread(sender, sequence, number, peer, now_s)
             return

@@ -325,10 +325,10 @@ def _landed_state(value: int) -> LandedState:
         return LandedState.UNKNOWN
 
 
-def is_time_question(frame: bytes, number: int) -> bool:
-    """Return True if a frame asks for the time; only answers, whose `tc1` is set, are of use.
+def is_time_question(frame: bytes) -> bool:
+    """Return True if a TIMESYNC asks for the time; only answers, whose `tc1` is set, are of use.
 
     PX4 asks every component ten times a second.
     """
     at = HEADER_LENGTH[frame[0]]
-    return number == TIMESYNC and frame[at : at + 8] == NO_TIME
+    return frame[at : at + 8] == NO_TIME
