@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.robust_update import asymmetric_huber_loss
+from companion.estimation.filters.kalman import asymmetric_huber_loss
 from companion.estimation.filters.target_filter import (
     Inflation,
     ModalityReport,

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from companion.estimation.filters.robust_update import asymmetric_huber_influence
+from companion.estimation.filters.kalman import asymmetric_huber_influence
 from companion.estimation.filters.target_filter import (
     Inflation,
     UpdateReport,

@@ -23,7 +23,7 @@ from markupsafe import Markup
 
 from companion import __version__
 from companion.config.schema import CompanionConfig
-from companion.estimation.filters.robust_update import threshold
+from companion.estimation.filters.target_filter import threshold
 from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.handoff import mgrs_text, utc_text

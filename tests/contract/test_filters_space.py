@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.kalman import AsymmetricHuberEkf
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
+    AsymmetricHuberEkf,
     asymmetric_huber_weight,
     joseph_row,
-    threshold,
 )
-from companion.estimation.filters.target_filter import FilterParams, FilterState
+from companion.estimation.filters.target_filter import FilterParams, FilterState, threshold
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
 from tests.contract.filter_helpers import BOUNDED, assert_same, seen_at, state_of, surprises

@@ -50,17 +50,6 @@ FILTER: Steps = {
     1: (
         Edit(
             "companion/estimation/filters/kalman.py",
-            "from companion.estimation.measurement_model import RangingModel, linearised\n",
-            r"^\)\n(?=from companion.kernel)",
-        ),
-        Edit(
-            "companion/estimation/filters/kalman.py",
-            "from companion.kernel import Matrix, Vector, frozen, kernel\n",
-            r"^from companion.kernel import .*\n",
-            is_instead=True,
-        ),
-        Edit(
-            "companion/estimation/filters/kalman.py",
             '''
 @kernel
 def gated_update(

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from companion.estimation.antenna import AntennaParams, antenna_axes_enu
-from companion.estimation.filters.kalman import RecursiveFilter
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
+    RecursiveFilter,
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,

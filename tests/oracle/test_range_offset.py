@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from companion.estimation.filters.robust_update import asymmetric_huber_influence
+from companion.estimation.filters.kalman import asymmetric_huber_influence
 from tools.study.case import Case
 from tools.study.metrics import modified_normal, normal
 from tools.study.systems import FilterName, System

@@ -13,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,

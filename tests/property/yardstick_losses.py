@@ -1,6 +1,6 @@
 """Robust losses as values, so that one test takes any: Huber's family and what it is compared with.
 
-Theory of operation. As in `robust_update`, u is the whitened residual and a loss is the trio loss,
+Theory of operation. As in `kalman`, u is the whitened residual and a loss is the trio loss,
 influence, weight. With x = (u / c)^2, and c the scale of the side that u is on,
 
     Cauchy      loss c^2/2 log(1 + x)            influence u / (1 + x)       weight 1 / (1 + x)
@@ -34,7 +34,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
     asymmetric_huber_weight,

@@ -32,7 +32,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.filters.kalman import robust_update
 from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.window.map_kernels import (
     COLUMNS,

@@ -29,8 +29,9 @@ import msgspec
 import numpy as np
 
 from companion.domain import Params, Positive
-from companion.estimation.filters.kalman import KINDS, RecursiveFilter
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
+    KINDS,
+    RecursiveFilter,
     asymmetric_huber_weight,
     is_positive_definite,
     joseph_row,

@@ -16,7 +16,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation import measurement_model
-from companion.estimation.filters import robust_update, target_filter
+from companion.estimation.filters import kalman, target_filter
 from companion.estimation.filters.target_filter import FilterState, ModalityReport
 from companion.estimation.measurement_model import BEARING, MODALITIES
 from companion.estimation.number_or_array import wrapped
@@ -67,8 +67,8 @@ class FilterpyEkf:
                 residual=partial(_residual, rows),
             )
         covariance = 0.5 * (ekf.P + ekf.P.T)
-        mean = robust_update.settled(ekf.x, covariance, self._bounds)
-        is_sane = bool(robust_update.is_positive_definite(mean, covariance))
+        mean = kalman.settled(ekf.x, covariance, self._bounds)
+        is_sane = bool(kalman.is_positive_definite(mean, covariance))
         after = FilterState.of(state.time_s, mean, covariance) if is_sane else state
         ranged, borne, elevated = _reports(ekf, rows, noise, effective)
         nis = float(ekf.y @ ekf.SI @ ekf.y) if rows else 0.0
@@ -90,7 +90,7 @@ class FilterpyEkf:
         noise: Vector = measurement_model.variances(state.covariance, mean, sensor, sigma, model)
         late_m2 = self.params.process_noise_m_per_sqrt_s**2 * late_s
         for row, partials in enumerate(measurement_model.jacobian(mean, sensor, model)):
-            noise[row] += robust_update.lateness_variance(partials, late_m2, model)
+            noise[row] += kalman.lateness_variance(partials, late_m2, model)
         return noise
 
 

@@ -39,7 +39,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.estimation.filters.robust_update import robust_update
+from companion.estimation.filters.kalman import robust_update
 from companion.estimation.measurement_model import RangingModel
 from companion.estimation.window import map_kernels
 from companion.estimation.window.map_kernels import (

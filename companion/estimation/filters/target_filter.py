@@ -20,7 +20,6 @@ from companion.domain import (
     Signed,
 )
 from companion.estimation.antenna import LEVEL, MODELS, AntennaParams
-from companion.estimation.filters.robust_update import threshold
 from companion.estimation.measurement_model import (
     ABSENT,
     AZIMUTH,
@@ -147,6 +146,11 @@ MAX_SIGMAS = (MOST, math.pi, math.pi)
 a turn is no information about a direction."""
 FLOAT32_STEP = 2.0**-23
 """Relative rounding of float32: a configured sigma may be reported this much smaller."""
+
+
+def threshold(k: float | None) -> float:
+    """Return a configured threshold as a number; none is infinity."""
+    return math.inf if k is None else k
 
 
 class FilterConfig(Params, frozen=True):

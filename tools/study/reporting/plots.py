@@ -25,7 +25,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
 )

@@ -16,7 +16,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.errors import ConfigError
-from companion.estimation.filters.robust_update import asymmetric_huber_loss
+from companion.estimation.filters.kalman import asymmetric_huber_loss
 from companion.flight_setup import FlightFacts, write_facts
 from companion.geometry.coordinates import Projection, tile_at
 from companion.guard.gate import GuardReason

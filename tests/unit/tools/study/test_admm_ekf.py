@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import minimize, minimize_scalar
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filters.kalman import AsymmetricHuberEkf
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
+    AsymmetricHuberEkf,
     asymmetric_huber_influence,
     asymmetric_huber_loss,
 )

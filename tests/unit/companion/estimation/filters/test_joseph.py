@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.estimation.filters.robust_update import (
+from companion.estimation.filters.kalman import (
     DEFINITE_MARGIN,
     is_positive_definite,
     joseph_row,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from companion.estimation.filters.robust_update import asymmetric_huber_loss
+from companion.estimation.filters.kalman import asymmetric_huber_loss
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.window.map_kernels import (
     DAMPING_START,
