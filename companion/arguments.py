@@ -1,4 +1,7 @@
-"""The arguments of the `companion` command."""
+"""The arguments of the `companion` command and of all its subcommands.
+
+They stand apart, so that a flight loads nothing of a subcommand but its options.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,16 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, Literal, NoReturn, TypeAlias, get_args
 
 from companion import __version__
 from companion.errors import ConfigError
-from companion.radio_tools.options import add_radio
-from companion.setup_tools.options import add_config, add_setup, add_tiles
 
+AUTOPILOTS = ("px4", "ardupilot")
+USUAL_LINK = "serial:/dev/ttyAMA0:921600"
+SYSTEM = Path("/etc/companion")
+FieldTestName = Literal["turn", "line", "circle", "blocked"]
+TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
 """Beyond this a second of the autopilot's patience is less than a hiccup of the computer."""
@@ -51,6 +57,11 @@ examples:
   companion demo --speed 4
   companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
 
+CALIBRATE = """\
+Find a radio's offset, scale, sign, mount, lag and noise from a recording of it about a known
+point: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the radio's
+`settings` and for `estimation.filter`. Exit code 1: something was refused, with the reason."""
+
 
 class RaisingParser(argparse.ArgumentParser):
     """Raises instead of printing as argparse does, so that every error is one line.
@@ -70,6 +81,28 @@ class RaisingParser(argparse.ArgumentParser):
 
 Options = argparse._ActionsContainer
 Commands: TypeAlias = "argparse._SubParsersAction[RaisingParser]"
+
+
+def number_in(
+    least: float, most: float = math.inf, *, kind: type[float] = float, is_open: bool = False
+) -> Callable[[str], float]:
+    """Return the type of an argument: a number (int: a whole one) from `least` on."""
+    wanted = f"{'above' if is_open else 'from'} {least:g}" + f" to {most:g}" * (most < math.inf)
+
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most or (is_open and value == least):
+            what = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"`{text}` is not a {what} {wanted}")
+        return value
+
+    return parsed
+
+
+_SPEED = number_in(0.0, MAX_SPEED, is_open=True)
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -92,21 +125,10 @@ def argument_parser() -> argparse.ArgumentParser:
     _add_report(commands)
     _add_area(commands)
     _add_doctor(commands)
-    radio = commands.add_parser(
-        "radio",
-        help="list, watch, record and calibrate radios",
-        description="Radios with formats of their own: which there are, and what they say.",
-    )
-    add_radio(radio)
-    config = commands.add_parser(
-        "config",
-        help="show every value of a configuration and its origin, or the schema",
-        description="What a configuration comes to, and the schema of its files.",
-    )
-    add_config(config)
+    _add_radio(commands)
+    _add_config(commands)
     _add_setup(commands)
-    text = "map tiles for the live map, from a server"
-    add_tiles(commands.add_parser("tiles", help=text, description=text))
+    _add_tiles(commands)
     _add_warm_up(commands)
     return parser
 
@@ -123,13 +145,25 @@ def _switch(options: Options, name: str, text: str, **more: Any) -> None:
     options.add_argument(name, action="store_true", help=text, **more)
 
 
+def _tiles(options: Options, **more: Any) -> None:
+    _file(options, "--web-tiles", "map tiles, z/x/y.png", "DIR", **more)
+
+
+def _config(options: Options, text: str = "companion configuration", **more: Any) -> None:
+    _file(options, "--config", text, **more)
+
+
+def _radios(options: Options, text: str = "as in flight", name: str = "radios") -> None:
+    _option(options, "--radio", "RADIO", text, action="append", default=[], dest=name)
+
+
 def _add_links(parser: Options) -> None:
     repeatable: dict[str, Any] = {"action": "append", "default": []}
     _option(parser, "--connect", "URL", "link to the autopilot")
     text = "link that carries only ranging messages; repeatable"
     _option(parser, "--ranging", "URL", text, **repeatable)
     text = "radio with a format of its own, NAME[:KEY=VALUE,...]@URL; repeatable"
-    _option(parser, "--radio", "RADIO", text, **repeatable)
+    _radios(parser, text, "radio")
     text = "link to a ground station, beside the way through the autopilot; repeatable"
     _option(parser, "--gcs", "URL", text, **repeatable)
     text = "send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)"
@@ -137,11 +171,9 @@ def _add_links(parser: Options) -> None:
 
 
 def _add_flight(parser: Options) -> None:
-    _file(parser, "--config", "configuration YAML", dest="fly_config")
+    _config(parser, "configuration YAML", dest="fly_config")
     text = "seconds of a simulator per real second (default 1)"
-    _option(
-        parser, "--speed", "X", text, dest="fly_speed", type=number_in(0.0, MAX_SPEED, is_open=True)
-    )
+    _option(parser, "--speed", "X", text, dest="fly_speed", type=_SPEED)
     text = "QGroundControl .plan or .kml with the fence, instead of the configuration's"
     _file(parser, "--fence", text)
     text = "MAVLink 2 signing with the key in FILE (64 hexadecimal digits, mode 0600)"
@@ -162,10 +194,6 @@ def _add_web(web: Options) -> None:
     _tiles(web, dest="fly_web_tiles")
 
 
-def _tiles(options: Options, **more: Any) -> None:
-    _file(options, "--web-tiles", "map tiles, z/x/y.png", "DIR", **more)
-
-
 def _add_demo(commands: Commands) -> None:
     demo = commands.add_parser(
         "demo",
@@ -173,19 +201,12 @@ def _add_demo(commands: Commands) -> None:
         description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
     )
     _option(demo, "--seed", "N", "of the simulator", type=number_in(0, kind=int), default=1)
-    _option(
-        demo,
-        "--speed",
-        "X",
-        "times real time",
-        type=number_in(0.0, MAX_SPEED, is_open=True),
-        default=1.0,
-    )
+    _option(demo, "--speed", "X", "times real time", type=_SPEED, default=1.0)
     text = "scenario for sim-link: a file, or its name in configs/scenarios, for example "
     _file(demo, "--scenario", text + "field/phone_ftm, which brings the preset of that name")
     text = "which autopilot to fly (default: the scenario's, px4)"
-    demo.add_argument("--autopilot", choices=("px4", "ardupilot"), help=text)
-    _file(demo, "--config", "companion configuration")
+    demo.add_argument("--autopilot", choices=AUTOPILOTS, help=text)
+    _config(demo)
     _file(demo, "--json", "write the result as JSON")
     _file(demo, "--plot", "where to draw the track (default track.png)", default=Path("track.png"))
     text = "serve the live map, with buttons (default port 8080), and open the browser"
@@ -203,20 +224,39 @@ def _add_doctor(commands: Commands) -> None:
         "the remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
     )
     _option(doctor, "--connect", "URL", "link to the autopilot", dest="link", required=True)
-    text = "as in flight; listened to, one after the other"
-    _option(doctor, "--radio", "RADIO", text, action="append", default=[], dest="radios")
-    _file(doctor, "--config", "companion configuration")
+    _radios(doctor, "as in flight; listened to, one after the other")
+    _config(doctor)
     _file(doctor, "--signing-key", "as in flight", dest="key")
     _switch(doctor, "--insecure", "as in flight", dest="is_insecure")
-    _option(
-        doctor,
-        "--seconds",
-        "S",
-        "to count streams (default 5)",
-        type=number_in(1.0, MAX_SECONDS),
-        default=5.0,
-    )
+    text, seconds = "to count streams (default 5)", number_in(1.0, MAX_SECONDS)
+    _option(doctor, "--seconds", "S", text, type=seconds, default=5.0)
     _switch(doctor, "--json", "print the results as JSON")
+
+
+def _add_config(commands: Commands) -> None:
+    config = commands.add_parser(
+        "config",
+        help="show every value of a configuration and its origin, or the schema",
+        description="What a configuration comes to, and the schema of its files.",
+    )
+    parts = config.add_subparsers(dest="config_command", metavar="{show,schema}", required=True)
+    show = parts.add_parser(
+        "show",
+        help="every value, and whether it is a default, of a file or of a flag",
+        description="Print the configuration that a flight with these arguments would have, as "
+        "a file that can be used again, with the origin of each value behind it.",
+    )
+    _config(show)
+    _file(show, "--fence", "as in flight", dest="site")
+    _file(show, "--signing-key", "as in flight", dest="key")
+    _radios(show)
+    _switch(show, "--changed", "only what is no default")
+    _switch(show, "--json", "print a list of path, value, origin")
+    parts.add_parser(
+        "schema",
+        help="print the JSON Schema of configuration files, for editors",
+        description="Print the JSON Schema of configuration files, with what each key means.",
+    )
 
 
 def _add_setup(commands: Commands) -> None:
@@ -227,7 +267,40 @@ def _add_setup(commands: Commands) -> None:
         "and service, compile ahead, run the doctor, and say what to set in the autopilot. "
         "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
-    add_setup(setup)
+    setup.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="which one flies")
+    text = f"link to the autopilot, for example {USUAL_LINK}"
+    _option(setup, "--connect", "URL", text, dest="link")
+    _option(setup, "--radio", "RADIO", "NAME[:KEY=VALUE,...]@URL, or none", dest="own_radio")
+    text = "link that carries only ranging messages"
+    _option(setup, "--ranging", "URL", text, dest="own_ranging")
+    _option(setup, "--preset", "NAME", "what to begin with: a file, or a name in configs")
+    text = ".plan or .kml file with the fence, which is copied; or none: 150 m to each side"
+    _option(setup, "--fence", "FILE", text, dest="site")
+    text = f"where the configuration goes (default: {SYSTEM} for root, else ~/.config/companion)"
+    _file(setup, "--directory", text, "DIR")
+    text = "write a systemd unit into DIR as well, unless a package brought one"
+    _file(setup, "--unit-directory", text, "DIR")
+    _option(setup, "--user", "NAME", "who runs the service (default: you)")
+    _switch(setup, "--no-doctor", "do not look at the autopilot now")
+    _switch(setup, "--no-warm-up", "do not compile now")
+    _switch(setup, "--remove", "undo the setup in --directory")
+
+
+def _add_tiles(commands: Commands) -> None:
+    text = "map tiles for the live map, from a server"
+    tiles = commands.add_parser("tiles", help=text, description=text)
+    parts = tiles.add_subparsers(dest="tiles_command", metavar="{fetch}", required=True)
+    fetch = parts.add_parser(
+        "fetch",
+        help="get the tiles about a place from a server that you name",
+        description="Get the tiles about a place from a server. You name it, so its terms of use "
+        "are yours to keep; many public servers forbid fetching ahead.",
+    )
+    fetch.add_argument("url", metavar="URL", help="with {z}, {x} and {y} in it")
+    _option(fetch, "--around", "LAT,LON", "centre, degrees", required=True)
+    _option(fetch, "--radius", "M", "default 500", type=float, default=500.0)
+    _option(fetch, "--zoom", "MIN-MAX", "default 13-17", default="13-17")
+    _file(fetch, "folder", "for --web-tiles DIR", "DIR")
 
 
 def _add_warm_up(commands: Commands) -> None:
@@ -238,7 +311,7 @@ def _add_warm_up(commands: Commands) -> None:
         "half a minute or more, once. It needs numba, setuptools and a C compiler; without it "
         "kernels run as plain Python, which suffices in flight.",
     )
-    _file(warm_up, "--config", "companion configuration, which is only checked")
+    _config(warm_up, "companion configuration, which is only checked")
 
 
 def _add_replay(commands: Commands) -> None:
@@ -252,16 +325,16 @@ def _add_replay(commands: Commands) -> None:
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)
     text = "of a flight, times real time (default: as fast as possible)"
-    _option(replay, "--speed", "X", text, type=number_in(0.0, MAX_SPEED, is_open=True))
+    _option(replay, "--speed", "X", text, type=_SPEED)
     text = "show a flight on the live map, at --speed 1 unless given, once a browser has opened it "
     text += "(default port 8080)"
-    _option(replay, "--web", "[HOST:]PORT", text, dest="web", nargs="?", const="8080")
+    _option(replay, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
     _tiles(replay)
     text = "of a walk, standard deviation of its positions per axis, metres (default: its column "
     text += "own_sigma_m, or that of the .json beside it; 3 where nothing is stated)"
     _option(replay, "--own-sigma", "M", text, type=number_in(0.0, 1e4))
     _switch(replay, "--explain", "of a walk, print what widens each R95, term by term")
-    _file(replay, "--config", "companion configuration")
+    _config(replay)
     _file(replay, "--json", "write the results as JSON")
 
 
@@ -292,28 +365,78 @@ def _add_area(commands: Commands) -> None:
     text = "combine what flights have searched over the area of the first one"
     merge = parts.add_parser("merge", help=text, description=f"{text.capitalize()}.")
     _file(merge, "flights", "their folders", "FLIGHT", nargs="+")
-    _file(
-        merge, "--out", "folder for the files (default: searched)", "DIR", default=Path("searched")
+    text = "folder for the files (default: searched)"
+    _file(merge, "--out", text, "DIR", default=Path("searched"))
+
+
+def _add_radio(commands: Commands) -> None:
+    radio = commands.add_parser(
+        "radio",
+        help="list, watch, record and calibrate radios",
+        description="Radios with formats of their own: which there are, and what they say.",
+    )
+    parts = radio.add_subparsers(
+        dest="radio_command", metavar="{list,identify,watch,record,calibrate}", required=True
+    )
+    parts.add_parser("list", help="every radio that can be chosen, and what it gives")
+    identify = parts.add_parser(
+        "identify",
+        help="listen ten seconds, and say which radio it is and what to type",
+        description="Listen at an address, a serial port at its usual speeds, and name the radio.",
+    )
+    identify.add_argument("url", metavar="@URL", help="as in NAME@URL")
+    _option(identify, "--seconds", "S", "in all", type=float, default=10.0)
+    watch = parts.add_parser(
+        "watch",
+        help="show what a radio says, live",
+        description="Show what radios say: rate, range, bearing, scatter, and what is refused.",
+    )
+    watch.add_argument("radios", metavar="RADIO", nargs="*", help="NAME[:KEY=VALUE,...]@URL")
+    _add_listening(watch, "end after so many seconds (default: Ctrl-C)")
+    record = parts.add_parser(
+        "record",
+        help="keep what radios send, and where the vehicle is meanwhile",
+        description="Keep the bytes of radios with their times and, where connected, the vehicle's "
+        "position and attitude. `companion replay FILE` runs it through the estimator.",
+    )
+    record.add_argument("file", metavar="FILE", type=Path)
+    _radios(record)
+    _option(record, "--connect", "URL", "link to the autopilot", dest="link")
+    _add_listening(record, "end after so many seconds (default: Ctrl-C)")
+    _add_calibrate(
+        parts.add_parser(
+            "calibrate",
+            help="find offset, scale, sign, mount, lag and noise from a recording about a known "
+            "point",
+            description=CALIBRATE,
+        )
     )
 
 
-def number_in(
-    least: float, most: float = math.inf, *, kind: type[float] = float, is_open: bool = False
-) -> Callable[[str], float]:
-    """Return the type of an argument: a number (int: a whole one) from `least` on."""
-    wanted = f"{'above' if is_open else 'from'} {least:g}" + f" to {most:g}" * (most < math.inf)
+def _add_listening(options: Options, text: str) -> None:
+    _config(options)
+    _option(options, "--seconds", "S", text, type=float)
+    _switch(options, "--insecure", "listen beyond this machine, too", dest="is_insecure")
 
-    def parsed(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            value = math.nan
-        if not least <= value <= most or (is_open and value == least):
-            what = "whole number" if kind is int else "number"
-            raise argparse.ArgumentTypeError(f"`{text}` is not a {what} {wanted}")
-        return value
 
-    return parsed
+def _add_calibrate(calibrate: Options) -> None:
+    text = "recording of `companion radio record`; with --radio it is written first"
+    _file(calibrate, "file", text, nargs="?")
+    text = "the emitter is so many metres from the antenna: find the radio's offset, and keep it"
+    _option(calibrate, "--beside", "M", text, type=float)
+    text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
+    _file(calibrate, "--from-csv", text, dest="csv")
+    text = "where the emitter is, in degrees and metres above mean sea level (default: home's)"
+    _option(calibrate, "--point", "LAT,LON[,AMSL]", text)
+    text = "the same in metres east, north and up of the autopilot's origin"
+    _option(calibrate, "--point-enu", "E,N,U", text)
+    _option(calibrate, "--emitter", "ID", "its id, where there are several")
+    text = f"what FILE contains, {', '.join(TEST_NAMES)}, and when, in seconds; repeatable"
+    _option(calibrate, "--test", "NAME[@FROM-TO]", text, action="append", default=[], dest="tests")
+    _radios(calibrate, "record this radio first, NAME[:KEY=VALUE,...]@URL; repeatable")
+    _option(calibrate, "--connect", "URL", "link to the autopilot", dest="link")
+    _add_listening(calibrate, "record so long (default: Ctrl-C)")
+    _file(calibrate, "--json", "write all figures as JSON")
 
 
 FLIGHT_OPTIONS = (

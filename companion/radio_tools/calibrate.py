@@ -20,6 +20,7 @@ from pathlib import Path
 
 import msgspec
 
+from companion.arguments import TEST_NAMES
 from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import load_config, with_radios
 from companion.domain import PositionEnu, RangingMeasurement
@@ -43,7 +44,6 @@ from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools.calibration import CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import as_json, verdict, yaml_to_paste
-from companion.radio_tools.options import TEST_NAMES
 from companion.radio_tools.recorder import record_radios
 from companion.replay.walk_replay import read_walk
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from companion.arguments import FieldTestName
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.io.radio_recording import TimedPose
 from companion.radio_tools.bearing_fit import (
@@ -24,7 +25,6 @@ from companion.radio_tools.bearing_fit import (
     fit_bearings,
 )
 from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Labels, Vector
-from companion.radio_tools.options import FieldTestName
 from companion.radio_tools.pose_track import FieldTests, PoseTrack, find_tests
 from companion.radio_tools.range_fit import (
     LEAST_SPEED_MPS,

@@ -28,6 +28,7 @@ import msgspec
 import yaml
 
 from companion import kernel_cache
+from companion.arguments import AUTOPILOTS, SYSTEM, USUAL_LINK
 from companion.config.area_files import MAX_BYTES as FENCE_BYTES
 from companion.config.area_files import read_fence
 from companion.config.loader import parse_value, preset_named, preset_names, read_text, shipped_file
@@ -41,7 +42,6 @@ from companion.flight_setup import flight_links
 from companion.io.files import read_file, write_bytes_atomic
 from companion.io.links.transports import SerialPort, Transport, check_exposure
 from companion.run import compile_kernels
-from companion.setup_tools.options import AUTOPILOTS, LINK, SYSTEM
 
 CONFIG, SERVICE_OPTIONS, UNIT = "companion.yaml", "service.env", "companion.service"
 RECORD = "setup.json"
@@ -349,10 +349,10 @@ def _usual_directory() -> Path:
 def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
     """Return choices from flags, and from answers where flags are missing."""
     if ask is None and arguments.link is None:
-        raise ConfigError(f"setup: say where the autopilot is: --connect {LINK}")
+        raise ConfigError(f"setup: say where the autopilot is: --connect {USUAL_LINK}")
     asked = _Questions(ask)
     autopilot = asked.one("Autopilot, px4 or ardupilot", arguments.kind, AUTOPILOTS[0], AUTOPILOTS)
-    connect = asked.one("Link to the autopilot", arguments.link, LINK)
+    connect = asked.one("Link to the autopilot", arguments.link, USUAL_LINK)
     radio = asked.one("Radio as NAME@URL (companion radio list)", arguments.own_radio, NONE)
     suggested = radio.partition("@")[0].partition(":")[0]
     known = preset_names()

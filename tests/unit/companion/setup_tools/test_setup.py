@@ -236,7 +236,7 @@ def test_a_flight_loads_nothing_of_it() -> None:
     code = "import sys, companion.cli; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.startswith("companion.")}
-    assert "companion.setup_tools.options" in loaded
+    assert "companion.arguments" in loaded
     assert {name for name in loaded if "_commands" in name and "setup_tools" in name} == set()
     assert not any(name.startswith("companion.doctor") for name in loaded)
 
