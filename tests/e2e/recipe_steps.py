@@ -503,9 +503,9 @@ def test_strong_vibration_is_held_on() -> None:
     ),
     6: (
         Edit(
-            "docs/messages.md",
-            "| `strong vibration` | hold | above 30 m/s2 | land, and balance the propellers |\n",
-            r"^\| `autopilot lost GNSS fix` .*\n",
+            "docs/safety.md",
+            "| above 30 m/s2 | `strong vibration` | holds | land, and balance the propellers |\n",
+            r"^\| .* \| `autopilot lost GNSS fix` .*\n",
         ),
         Edit(
             "docs/reliability.md",

@@ -82,9 +82,11 @@ def _docstrings_of(path: Path) -> Iterator[Docstring]:
 
 
 def operator_texts() -> list[str]:
-    """Return the rows of the list of operator messages: text, severity, cause and action."""
-    page = (ROOT / "docs/messages.md").read_text(encoding="utf-8")
-    return re.findall(r"^\| (`.+) \|$", page, re.MULTILINE)
+    """Return the rows of the lists of operator messages: cause, text and action."""
+    pages = [
+        (ROOT / f"docs/{name}.md").read_text(encoding="utf-8") for name in ("messages", "safety")
+    ]
+    return [row for page in pages for row in re.findall(r"^\| (.*`.+) \|$", page, re.MULTILINE)]
 
 
 def findings() -> dict[str, list[str]]:

@@ -1,4 +1,4 @@
-"""The list of operator messages against the source: neither has a text that the other lacks."""
+"""The lists of operator messages against the source: neither has a text that the other lacks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from companion.guidance.findings import Reason
 from companion.guidance.messages import SILENT
 
 GUIDANCE = Path(companion.__file__).parent / "guidance"
-PAGE = Path(__file__).parents[4] / "docs" / "messages.md"
+DOCS = Path(__file__).parents[4] / "docs"
 SPEAKERS = {"announce", "warn", "Announce", "Finding", "_finding"}
 """What is called with a text for the operator."""
 FAILURES = {"failure", "refusal", "note"}
@@ -65,8 +65,12 @@ def called(node: ast.Call) -> str:
 
 
 def listed() -> set[str]:
-    """What the page lists: the code in the first column of its tables."""
-    rows = re.findall(r"^\| (`.*?`) \|", PAGE.read_text(), flags=re.MULTILINE)
+    """The texts of both pages: the code in the first column of the tables of messages, and in
+    the second one of failures.
+    """
+    rows = re.findall(r"^\| (`.*?`) \|", (DOCS / "messages.md").read_text(), re.MULTILINE)
+    failures = (DOCS / "safety.md").read_text()
+    rows += re.findall(r"^\| [^|]+ \| (`[^`]+`) \|", failures, re.MULTILINE)
     return {row.strip("`") for row in rows}
 
 
