@@ -36,7 +36,7 @@ from companion.guidance.flight.vehicle import mode_name
 from companion.io.links.radio_lines import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound
-from companion.link.autopilot_parameters import hears_transmitter
+from companion.link.autopilot_fence import FenceDownload, hears_transmitter
 from companion.link.autopilot_queries import (
     STREAM_INTERVAL_S,
     StreamFreshness,
@@ -44,7 +44,6 @@ from companion.link.autopilot_queries import (
 )
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
-from companion.link.fence_download import FenceDownload
 from companion.link.inbound import origin_of
 from companion.link.intake import Authenticity, FloodBudget
 from companion.link.outlet import COMPONENT_ID

@@ -24,15 +24,16 @@ from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
-from companion.link.autopilot_parameters import (
+from companion.link.autopilot_fence import (
+    FENCE_IDS,
+    FenceDownload,
     FenceParameters,
     Px4FailsafeCheck,
     hears_transmitter,
 )
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import MAX_PACE, ClockSync
-from companion.link.conversion.offered_modes import OfferedModes
-from companion.link.fence_download import FENCE_IDS, FenceDownload
+from companion.link.inbound import OfferedModes
 from companion.link.intake import RateLimit
 from companion.link.outbound import Ids, VehicleCommand
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink

@@ -16,9 +16,9 @@ from companion.guidance.events import (
 )
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
+from companion.link.autopilot_fence import FENCE_IDS, FenceMessage
 from companion.link.autopilot_queries import AutopilotQueries
 from companion.link.binding import AutopilotBinding
-from companion.link.fence_download import FENCE_IDS, FenceMessage
 from companion.link.inbound import VehicleInbound
 from companion.link.intake import RateLimit
 from companion.link.interface import Journal, VehicleParams

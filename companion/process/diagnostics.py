@@ -19,7 +19,7 @@ from pathlib import Path
 
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
-from companion.io.background_files import BackgroundReplacer
+from companion.io.background_output import BackgroundReplacer
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link
 from companion.io.logs.flight_recorder import BlackBox

@@ -38,7 +38,7 @@ from companion.guidance.emitters import Progress
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
 from companion.guidance.flight.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
-from companion.io.background_files import BackgroundReplacer
+from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterThread
 from companion.io.files import write_bytes_atomic
 from companion.io.logs.flight_recorder import FlightJournal
 from companion.io.state.checkpoints import (
@@ -49,7 +49,6 @@ from companion.io.state.checkpoints import (
     age_s,
     present_moment,
 )
-from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import SearchedFlight, searched_again, statement

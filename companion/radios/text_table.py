@@ -17,10 +17,10 @@ from companion.radios.line_forms import (
     PozyxDecoder,
     Ryuw122Decoder,
 )
-from companion.radios.silabs import SilabsAoaDecoder
 from companion.radios.text_radios import (
     LinesDecoder,
     MakerfabsAtDecoder,
+    SilabsAoaDecoder,
     Sx1280Decoder,
     TrekDecoder,
     UudfDecoder,

@@ -19,7 +19,7 @@ from typing import TextIO
 from companion.errors import printable
 from companion.guidance.messages import radii_of
 from companion.guidance.phases import HAS_VEHICLE, Phase
-from companion.io.writer_thread import WriterThread
+from companion.io.background_output import WriterThread
 from companion.link.endpoint import CompanionEndpoint
 from companion.run import FlightView
 

@@ -243,7 +243,7 @@ class OperatorCommandWatch(Watch):
 
 
 UNREAD_PATIENCE_S = 20.0
-"""Time for two rounds of unanswered requests and the pause between them, see `fence_download`: 8
+"""Time for two rounds of unanswered requests and the pause between them, see `autopilot_fence`: 8
 tries of 0.4 s each, and 10 s."""
 CHANGED_EVERY_S = 30.0
 

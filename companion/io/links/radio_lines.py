@@ -12,7 +12,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.io.links.link import Link, Received
-from companion.io.links.process_links import ExecLink, StdinLink
+from companion.io.links.program_links import ExecLink, StdinLink
 from companion.io.links.transports import (
     DEFAULT_BAUD,
     FlightLink,
@@ -23,8 +23,7 @@ from companion.io.links.transports import (
     make_link,
     parse_transport,
 )
-from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink
-from companion.io.links.web_sockets import WebSocketLink
+from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink, WebSocketLink
 from companion.link.interface import LinkRole, LinkSpec
 from companion.link.radio_settings import RadioSetup
 from companion.radios.decoder import Poll

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from companion.errors import ConfigError
 from companion.io.links.byte_streams import SerialLink, TcpClientLink
 from companion.io.links.link import Link, Received
-from companion.io.links.pseudo_terminal import PtyLink
+from companion.io.links.program_links import PtyLink
 from companion.io.links.tcp import TcpFanOutLink, TcpServerLink
 from companion.io.links.udp import UdpConnectLink, UdpFanOutLink, UdpLink
 from companion.link.interface import LinkRole, LinkSpec

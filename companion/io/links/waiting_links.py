@@ -1,9 +1,15 @@
-"""Links with blocking reads, each in a thread of its own: polled web pages, and files.
+"""Links with blocking reads, each in a thread of its own: polled web pages, files, web sockets.
 
 Theory of operation. A server that hangs and a disk that sleeps block a thread, never the loop. The
 thread hands over what it has read in pieces and waits until they are taken, so that nothing grows
 when the loop is late. A loss and a return are each reported once. An empty piece means that an
 unfinished message will not be completed.
+
+Web sockets: KrakenSDR's suite of 2026, metrics of srsRAN Project. The thread connects, sends each
+line of the greeting as a text message, and hands over what arrives: a text message as a line, a
+binary one as the frame that a server puts on the wire (RFC 6455, section 5.2: unmasked, whole),
+because its length must go with it. A lost connection is retried. The certificate of `wss:` is not
+checked: such devices sign their own.
 """
 
 from __future__ import annotations
@@ -11,6 +17,8 @@ from __future__ import annotations
 import asyncio
 import http.client
 import os
+import ssl
+import struct
 import threading
 import time
 import urllib.parse
@@ -18,8 +26,9 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from companion.errors import CompanionError, LinkError
+from companion.errors import CompanionError, LinkError, how_to_install
 from companion.io.links.link import Link, Received, logger
 from companion.io.radio_recording import (
     RadioBytes,
@@ -27,6 +36,9 @@ from companion.io.radio_recording import (
     read_radio_recording,
 )
 from companion.mav.endpoint import Chunk
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
 
 PIECE_BYTES = 4096
 TIMEOUT_S = 2.0
@@ -250,3 +262,81 @@ class PlayedFileLink(WaitingLink):
             while line := file.readline(65_536):
                 yield number / LINES_PER_S, line
                 number += 1
+
+
+LOOK_S = 0.5
+"""Interval at which a silent connection checks for its end."""
+RETRY_S = 1.0
+BINARY = 0x82
+"""First byte of a whole binary frame."""
+SHORT, MEDIUM = 126, 1 << 16
+"""Sizes from which on the length has two and eight bytes of its own."""
+
+
+def on_the_wire(message: str | bytes) -> bytes:
+    """Return a text message as a line, and a binary one as a server's frame."""
+    if isinstance(message, str):
+        return message.rstrip("\r\n").encode() + b"\n"
+    size = len(message)
+    if size < SHORT:
+        return bytes((BINARY, size)) + message
+    if size < MEDIUM:
+        return struct.pack(">BBH", BINARY, SHORT, size) + message
+    return struct.pack(">BBQ", BINARY, SHORT + 1, size) + message
+
+
+class WebSocketLink(WaitingLink):
+    """Web socket of another computer."""
+
+    def __init__(self, url: str, index: int, received: Received) -> None:
+        super().__init__(url, index, received)
+        self._url = url
+
+    def _check(self) -> None:
+        try:
+            import websockets.sync.client  # noqa: F401 -- an extra
+        except ImportError:
+            hint = how_to_install("websockets")
+            raise LinkError(f"{self.name}: web sockets need a package; {hint}") from None
+
+    def _work(self) -> None:
+        from websockets.exceptions import WebSocketException
+
+        while not self._stop.is_set():
+            try:
+                with self._connected() as connection:
+                    self._note_back()
+                    for line in self.greeting.decode().splitlines():
+                        connection.send(line)
+                    self._read(connection)
+            except (OSError, EOFError, ValueError, WebSocketException) as error:
+                self._note_lost(str(error) or type(error).__name__)
+            self._stop.wait(RETRY_S)
+
+    def _connected(self) -> ClientConnection:
+        from websockets.sync.client import connect
+
+        tls = None
+        if self._url.startswith(
+            "wss:"
+        ):  # devices sign their own certificates, so wss: proves no more than ws:
+            tls = ssl.create_default_context()
+            tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
+        return connect(
+            self._url,
+            ssl=tls,
+            compression=None,
+            proxy=None,
+            open_timeout=TIMEOUT_S,
+            close_timeout=LOOK_S,
+            max_size=MOST_PAGE_BYTES,
+        )
+
+    def _read(self, connection: ClientConnection) -> None:
+        """Hand over messages until the connection ends."""
+        while not self._stop.is_set():
+            try:
+                message = connection.recv(timeout=LOOK_S)
+            except TimeoutError:
+                continue
+            self._hand_over(on_the_wire(message))

@@ -13,12 +13,11 @@ from pathlib import Path
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.messages import radius_fields
 from companion.handoff import HandoffFiles
-from companion.io.background_files import BackgroundReplacer
+from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterHealth
 from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
 from companion.io.links.link import NOTICE
 from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
 from companion.io.logs.mcap_file import McapLog
-from companion.io.writer_thread import CLOSE_TIMEOUT_S, WriterHealth
 from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")

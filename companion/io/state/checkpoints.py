@@ -26,7 +26,7 @@ import msgspec
 
 from companion.domain import Autopilot
 from companion.guidance.events import SessionMemory, VehicleMark
-from companion.io.background_files import BackgroundReplacer
+from companion.io.background_output import BackgroundReplacer
 
 MAGIC = b"CkPt"
 VERSION = 1

@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from companion.errors import ConfigError
-from companion.io.background_files import BackgroundReplacer
+from companion.io.background_output import BackgroundReplacer
 from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.mav.signing import (
     AS_THE_GUIDE,

@@ -8,7 +8,7 @@ import pytest
 
 from companion.domain import Autopilot
 from companion.guidance.events import FenceLimits
-from companion.link.autopilot_parameters import NAMES, TRIES, FenceParameters
+from companion.link.autopilot_fence import NAMES, PARAMETER_TRIES, FenceParameters
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 
@@ -72,7 +72,7 @@ def test_each_is_asked_for_a_few_times_and_no_more_than_that() -> None:
     reader, asked = FenceParameters(), 0
     for tick in range(2000):
         asked += reader.due(0.05 * tick, Autopilot.ARDUPILOT, (1, 1)) is not None
-    assert asked == TRIES * len(NAMES[Autopilot.ARDUPILOT])
+    assert asked == PARAMETER_TRIES * len(NAMES[Autopilot.ARDUPILOT])
     assert reader.due(1e6, Autopilot.OTHER, (1, 1)) is None
 
 

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from companion.domain import Autopilot
-from companion.link.autopilot_parameters import PARAMETER, RC_BIT, WARNING, Px4FailsafeCheck
+from companion.link.autopilot_fence import PARAMETER, RC_BIT, WARNING, Px4FailsafeCheck
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, Wire, heartbeat

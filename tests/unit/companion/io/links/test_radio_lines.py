@@ -11,7 +11,7 @@ import pytest
 from companion.config.radios import RadioConfig, radio_setup
 from companion.errors import ConfigError, LinkError
 from companion.io.links.link import Link
-from companion.io.links.process_links import StdinLink
+from companion.io.links.program_links import StdinLink
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.tcp import TcpServerLink
 from companion.io.links.transports import OwnLine

@@ -18,7 +18,7 @@ from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
 from companion.io.links.radio_lines import radio_link
 from companion.io.links.transports import OwnLine
-from companion.io.links.web_sockets import WebSocketLink, on_the_wire
+from companion.io.links.waiting_links import WebSocketLink, on_the_wire
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk
 from tests.ports import free_port

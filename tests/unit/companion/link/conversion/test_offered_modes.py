@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.domain import Autopilot
-from companion.link.conversion.offered_modes import MOST_ASKS, OfferedModes
+from companion.link.inbound import MOST_ASKS, OfferedModes
 from companion.mav.dialect import mavlink
 
 TARGET = (1, 1)

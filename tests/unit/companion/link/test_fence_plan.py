@@ -7,7 +7,7 @@ import pytest
 
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.guidance.events import AutopilotFenceRead
-from companion.link.fence_download import (
+from companion.link.autopilot_fence import (
     LAST_REST_S,
     MAX_ITEMS,
     READ_AGAIN_S,
