@@ -49,7 +49,6 @@ from companion.link.ranging_sources import (
     MavlinkRanging,
     RangingMessage,
     RangingSource,
-    SourceContext,
 )
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
@@ -92,24 +91,17 @@ class CompanionEndpoint:
         authenticity: Authenticity | None = None,
         recorder: InputRecorder | None = None,
     ) -> None:
-        self.session = session
+        self.session, self._params = session, params
+        self._journal, self._recorder = journal, recorder
         self.authenticity = authenticity or Authenticity()
         self.binding = AutopilotBinding(params.vehicle.system_id, is_keyed=self.authenticity.is_on)
-        self._journal = journal
-        self._recorder = recorder
-        self._params = params
-        self._intakes = [self._make_intake(*each) for each in enumerate(params.links)]
-        links = list(zip((link.role for link in params.links), self._intakes, strict=True))
-        (vehicle,) = (intake for role, intake in links if role is LinkRole.VEHICLE)
+        links = list(enumerate(params.links))
+        (self._vehicle_link,) = (n for n, link in links if link.role is LinkRole.VEHICLE)
+        self._intakes = [self._make_intake(*each) for each in links]
         self._alarms = LinkAlarms(self.binding, self._intakes)
-        self.shield = FloodShield(vehicle, self.binding)
-        self.outlet = Outlet(
-            [(role, intake.codec) for role, intake in links],
-            self.binding,
-            journal,
-            params.link.downlink_bytes_s,
-        )
-        self._vehicle_link = self._intakes.index(vehicle)
+        self.shield = FloodShield(self._intakes[self._vehicle_link], self.binding)
+        codecs = [(link.role, self._intakes[n].codec) for n, link in links]
+        self.outlet = Outlet(codecs, self.binding, journal, params.link.downlink_bytes_s)
         self._queries = AutopilotQueries(
             self.binding, session.fencing, stops_unread=params.link.stop_unread_streams
         )
@@ -120,15 +112,16 @@ class CompanionEndpoint:
         self._parameters = ParameterServer(tunables, self.executor)
         self._commands = CommandHandler(self.executor, self._parameters)
         self._presence = Presence(session, self.outlet, has_icon=params.link.gcs_icon)
-        clock = self.executor.inbound.clock
-        self._vehicle_ranging = MavlinkRanging(SourceContext(vehicle.codec, clock))
-        ranging = [each for each in enumerate(params.links) if each[1].role is LinkRole.RANGING]
-        self._sources = {number: self._make_source(number, link) for number, link in ranging}
+        self._vehicle_ranging = self._mavlink_ranging(self._vehicle_link)
+        self._sources: dict[int, RangingSource] = {
+            n: self._mavlink_ranging(n) if link.radio is None else RadioStage(link.radio)
+            for n, link in links
+            if link.role is LinkRole.RANGING
+        }
+        """Sources of the ranging links, of MAVLink or of a radio's own format."""
         sources = self._sources.values()
         self.radios = tuple(RadioWatch(each) for each in sources if isinstance(each, RadioStage))
         """Radios in the order of their links."""
-        others = [each for each in sources if isinstance(each, MavlinkRanging)]
-        self._mavlink_ranging = (self._vehicle_ranging, *others)
         self._noted_binding: tuple[int, str | None] = (0, None)
         """Number of bindings and problem of the binding, as reported to the session."""
         self.ticks = 0
@@ -149,12 +142,9 @@ class CompanionEndpoint:
         binding = self.binding if link.role is LinkRole.VEHICLE else None
         return Intake(codec, binding, is_raw=link.radio is not None)
 
-    def _make_source(self, number: int, link: LinkSpec) -> RangingSource:
-        """Return the reader of a ranging link: of MAVLink, or of a radio's own format."""
-        if link.radio is not None:
-            return RadioStage(link.radio)
-        clock = self.executor.inbound.clock
-        return MavlinkRanging(SourceContext(self._intakes[number].codec, clock))
+    def _mavlink_ranging(self, number: int) -> MavlinkRanging:
+        """Return the source of MAVLink ranging on a link."""
+        return MavlinkRanging(self._intakes[number].codec, self.executor.inbound.clock)
 
     # The Endpoint protocol
 
@@ -223,7 +213,12 @@ class CompanionEndpoint:
     def _announce_link_state(self, now_s: float) -> None:
         """Announce what is new on the links, and what was withheld and still stands."""
         signing, links = self.authenticity.texts(now_s), self._alarms.texts(now_s)
-        ranging = [text for source in self._mavlink_ranging for text in source.texts(now_s)]
+        ranging = [
+            text
+            for source in (self._vehicle_ranging, *self._sources.values())
+            if isinstance(source, MavlinkRanging)
+            for text in source.texts(now_s)
+        ]
         streams = () if self.binding.is_doubted else self._queries.new_texts(now_s)
         for text in (*signing, *links, *ranging, *streams):
             self.outlet.announce(text, now_s)

@@ -15,7 +15,7 @@ own clock: stamps are under the sender's control.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
@@ -64,16 +64,6 @@ class RangingSource(Protocol):
         """
 
 
-@dataclass(frozen=True, slots=True)
-class SourceContext:
-    """Parts of the endpoint that a source uses."""
-
-    codec: MavCodec
-    """Codec of its link."""
-    vehicle_clock: VehicleClock
-    """The autopilot's clock, for a radio that stamps by it."""
-
-
 class SenderRate:
     """Rates of one sender: of all its measurements, and of each emitter."""
 
@@ -117,14 +107,14 @@ class MavlinkRanging:
     stamps can show, does not shift the vehicle position at the time of the measurement.
     """
 
-    def __init__(self, context: SourceContext) -> None:
-        self._codec = context.codec
-        self._vehicle_clock = context.vehicle_clock
+    def __init__(self, codec: MavCodec, vehicle_clock: VehicleClock) -> None:
+        self._codec = codec
+        self._vehicle_clock = vehicle_clock
         self._clocks: dict[tuple[int, int], SenderClock] = {}
         self._rates: dict[tuple[int, int], SenderRate] = {}
         self._on_vehicle_clock: set[tuple[int, int]] = set()
         """Senders whose latest stamp was of the autopilot's clock."""
-        self._slips = context.vehicle_clock.slips
+        self._slips = vehicle_clock.slips
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
         """Return the measurement in a verified frame, if it is a ranging message."""

@@ -12,7 +12,6 @@ from companion.link.ranging_sources import (
     MAX_EMITTERS,
     RATE_MAX_HZ,
     MavlinkRanging,
-    SourceContext,
 )
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
@@ -25,7 +24,7 @@ class Line:
     """A ranging link with any senders."""
 
     def __init__(self) -> None:
-        self.source = MavlinkRanging(SourceContext(MavCodec(1, 191), VehicleClock(ClockSync())))
+        self.source = MavlinkRanging(MavCodec(1, 191), VehicleClock(ClockSync()))
 
     def passes(
         self, now_s: float, emitter_id: int = 7, component: int = 158, stamp: int = 0

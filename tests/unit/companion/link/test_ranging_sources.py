@@ -17,7 +17,7 @@ from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.sender_clock import VehicleClock
 from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
 from companion.link.radio_settings import RadioSettings, RadioSetup
-from companion.link.ranging_sources import MavlinkRanging, SourceContext
+from companion.link.ranging_sources import MavlinkRanging
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk
@@ -34,7 +34,7 @@ class Radio:
         clock = VehicleClock(ClockSync())
         if vehicle_offset_s is not None:
             clock.read(-vehicle_offset_s, 0.0)
-        self.source = MavlinkRanging(SourceContext(MavCodec(1, 191), clock))
+        self.source = MavlinkRanging(MavCodec(1, 191), clock)
 
     def says(self, time_usec: int, now_s: float, flags: int = 0) -> RangingMeasurement:
         message = MAVLink_radio_ranging_message(
