@@ -37,7 +37,7 @@ def memory_of(context: SessionContext) -> SessionMemory:
         report=context.result,
         fence_anchor=context.fencing.anchor,
         flown_fences=context.fencing.flown,
-        fence_limits=context.fencing.flown_limits,
+        fence_limits=context.fencing.fence_limits,
         others=tuple(belief for belief in others if belief is not None),
         earlier=tuple(context.reports.values())[:-1],
     )

@@ -23,7 +23,7 @@ counts as one of these fences when home moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -78,6 +78,8 @@ class Fencing:
     def __init__(self, guard: Guard, plan: FencePlan | None = None) -> None:
         local = FencePlan(guard.limits, 0.0)
         self.plan = local if plan is None else plan
+        self.is_followed = self.plan.policy is not FencePolicy.IGNORE
+        """True if changes of the autopilot's fence matter."""
         self.refusal: str | None = None
         """Reason why there is no fence although all inputs are known, in words."""
         self.note: str | None = None
@@ -92,7 +94,7 @@ class Fencing:
         self._flown: tuple[GeoFence, ...] = ()
         """The autopilot's fences of this flight, the newest first; on the ground only the current
         one."""
-        self._limits = FenceLimits()
+        self.fence_limits = FenceLimits()
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
         self._reported_limits = FenceLimits()
         """The same as it was reported last."""
@@ -119,11 +121,14 @@ class Fencing:
 
     @property
     def _is_read(self) -> bool:
-        return self.plan.policy is FencePolicy.IGNORE or self._read is not None
+        return not self.is_followed or self._read is not None
 
     @property
     def _has_origin(self) -> bool:
-        return self._origin is not None or not self._needs_origin
+        """True if the origin is known, or nothing refers to it."""
+        is_used = self.plan.site is not None or self.autopilot_fence is not None
+        is_used = is_used or bool(self._flown) or self.anchor is not None
+        return self._origin is not None or not is_used
 
     @property
     def words(self) -> str:
@@ -150,11 +155,6 @@ class Fencing:
     def autopilot_fence(self) -> GeoFence | None:
         """The autopilot's fence as downloaded last; None: it has none, or it is unknown."""
         return None if self._read is None else self._read.fence
-
-    @property
-    def is_followed(self) -> bool:
-        """True if changes of the autopilot's fence matter."""
-        return self.plan.policy is not FencePolicy.IGNORE
 
     @property
     def wants_reading(self) -> bool:
@@ -184,17 +184,12 @@ class Fencing:
         """The autopilot's fences of this flight, the newest first, and the circle about home."""
         return self._flown + self._circle
 
-    @property
-    def flown_limits(self) -> FenceLimits:
-        """Limits by parameters of the autopilot; in the air the strictest of this flight."""
-        return self._limits
-
     def recall_flown(self, fences: tuple[GeoFence, ...], limits: FenceLimits | None) -> None:
         """Restore the autopilot's fences of the flight that an earlier process began."""
         self.is_airborne = True
         self._flown += tuple(fence for fence in fences if fence not in self._flown)
         if limits is not None:
-            self._limits = self._limits.strictest(limits)
+            self.fence_limits = self.fence_limits.strictest(limits)
         self._settle()
 
     def take(self, event: AutopilotFenceRead) -> None:
@@ -214,7 +209,7 @@ class Fencing:
         """Set the limits by the autopilot's parameters; in the air no limit gets wider."""
         if self.is_followed:
             self._reported_limits = limits
-            self._limits = self._limits.strictest(limits) if self.is_airborne else limits
+            self.fence_limits = self.fence_limits.strictest(limits) if self.is_airborne else limits
             self._settle()
 
     def set_home(self, home_enu_m: Point) -> None:
@@ -224,7 +219,7 @@ class Fencing:
             return
         circle = self._circle
         self.home_enu_m = home_enu_m
-        if self._limits.radius_m is None:
+        if self.fence_limits.radius_m is None:
             return
         if self.is_airborne and before and math.dist(before, home_enu_m) > TOLERANCE_M:
             self._flown += circle
@@ -245,7 +240,7 @@ class Fencing:
         self.is_airborne, self.is_in_control = is_airborne, is_in_control
         if not is_airborne:
             self._flown = () if self.autopilot_fence is None else (self.autopilot_fence,)
-            self._limits = self._reported_limits
+            self.fence_limits = self._reported_limits
         self._settle()
 
     def use_limits(self, limits: GuardLimits) -> None:
@@ -259,7 +254,7 @@ class Fencing:
         So do the fences of this flight, as it may restart in the air, unless it is another vehicle.
         """
         if is_other:
-            self._flown, self._limits, self.is_airborne = (), FenceLimits(), False
+            self._flown, self.fence_limits, self.is_airborne = (), FenceLimits(), False
         elif self.is_airborne:
             self._flown = self.flown
         self._origin = self._read = self.home_enu_m = None
@@ -269,16 +264,11 @@ class Fencing:
     @property
     def _circle(self) -> tuple[GeoFence, ...]:
         """The circle about home as a fence in the world, if there is one and its place is known."""
-        radius_m, home, origin = self._limits.radius_m, self.home_enu_m, self._origin
+        radius_m, home, origin = self.fence_limits.radius_m, self.home_enu_m, self._origin
         if radius_m is None or home is None or origin is None:
             return ()
         middle_deg = origin.geodetic_from_enu((*home, 0.0))[:2]
         return (GeoFence(GeoArea((middle_deg,), radius_m)),)
-
-    @property
-    def _needs_origin(self) -> bool:
-        has_one = self.autopilot_fence is not None or bool(self._flown)
-        return self.plan.site is not None or has_one or self.anchor is not None
 
     def _settle(self) -> None:
         self.refusal = self.note = None
@@ -298,10 +288,10 @@ class Fencing:
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
         """Return the fence limited to the autopilot's circle about home, if that cuts into it."""
-        radius_m, home = self._limits.radius_m, self.home_enu_m
+        radius_m, home = self.fence_limits.radius_m, self.home_enu_m
         if radius_m is None or home is None:
             return fence
-        margin_m = max(self.plan.margin_m, self._limits.margin_m)
+        margin_m = max(self.plan.margin_m, self.fence_limits.margin_m)
         if fence is not None:
             margin_m = max(fence.margin_m, margin_m)
             if all(math.dist(home, corner) <= radius_m for corner in fence.polygon_enu_m):
@@ -320,7 +310,7 @@ class Fencing:
 
     def _between_heights(self, envelope: Envelope) -> Envelope:
         """Return the allowed heights, limited to the autopilot's by its margin."""
-        limits = self._limits
+        limits = self.fence_limits
         most_m, least_m = envelope.altitude_max_m, envelope.altitude_min_m
         if limits.altitude_max_m is not None:
             most_m = min(most_m, limits.altitude_max_m - limits.margin_m)
@@ -341,7 +331,7 @@ class Fencing:
         if plan.policy is FencePolicy.USE:
             site = self._autopilots() or (self._flown[0] if self._flown else None)
             if site is None:
-                if self._limits.radius_m is not None:
+                if self.fence_limits.radius_m is not None:
                     return None  # its circle is the fence
                 raise ValueError("the autopilot has no fence to use")
         if site is None or self._origin is None:
@@ -360,7 +350,8 @@ class Fencing:
         locals_ = [each.local(self._origin) for each in others]
         inside = {fence.polygon_enu_m, *(each.polygon_enu_m for each in locals_)}
         smallest, *rest = sorted(inside, key=area_m2)
-        keep_outs = dict.fromkeys((*fence.keep_out_enu_m, *_all_keep_outs(locals_)))
+        theirs = [keep_out for each in locals_ for keep_out in each.keep_out_enu_m]
+        keep_outs = dict.fromkeys((*fence.keep_out_enu_m, *theirs))
         margins_m = [fence.margin_m, *(own_margin_m + each.distortion_m for each in locals_)]
         self.note = (
             f"the autopilot's fence changed in flight: keeping to {len(inside)} until landing"
@@ -448,10 +439,6 @@ class Fencing:
             return None
         own, other = LocalFence(fence.polygon_enu_m), theirs.local(self.anchor)
         return difference(own, other, TOLERANCE_M + other.distortion_m, fence.keep_out_enu_m)
-
-
-def _all_keep_outs(fences: Iterable[LocalFence]) -> Iterator[Corners]:
-    return (keep_out for fence in fences for keep_out in fence.keep_out_enu_m)
 
 
 def _moved(polygons: Iterable[Corners], step_m: Point) -> list[Corners]:

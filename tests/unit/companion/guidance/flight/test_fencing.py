@@ -389,7 +389,7 @@ class TestAFenceThatChanges:
         after = flown(FencePolicy.USE, SQUARE)
         after.take_limits(FenceLimits(radius_m=60.0))
         after.set_home((moved_m, 0.0))
-        after.recall_flown(before.flown, before.flown_limits)
+        after.recall_flown(before.flown, before.fence_limits)
         assert allowed(after, (moved_m - 20.0, 0.0), (50.0, 0.0)) == [True, False]
         assert f"inside {1 if moved_m == 0.0 else 2} more" in after.words
 
