@@ -9,7 +9,7 @@ from enum import Enum
 from companion.domain import Autopilot, VehicleClass
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.flight.requirements import FENCE_MESSAGE, REQUIREMENTS, Requirement
+from companion.guidance.readiness import FENCE_MESSAGE, REQUIREMENTS, Requirement
 from companion.link.quality import RadioStatus
 
 

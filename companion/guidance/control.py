@@ -11,8 +11,7 @@ from companion.guidance.authority.launch import LaunchView
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
 from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.flight.requirements import missing_inputs
-from companion.guidance.handover import Handover, LaunchPermit, WaitingReason
+from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
 from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import (
@@ -20,6 +19,7 @@ from companion.guidance.messages import (
     GuardMessages,
 )
 from companion.guidance.phases import FLYING, IN_CONTROL, STREAMING, Phase, Trigger
+from companion.guidance.readiness import LaunchPermit, WaitingReason, missing_inputs
 from companion.guidance.reporting import Reporting
 
 TICK_S = 0.05

@@ -1,9 +1,6 @@
-"""Hand-over of control, everything that ends it, and the reasons announced when it is blocked.
+"""Hand-over of control, and everything that ends it.
 
-Control belongs to the person who armed or flies the vehicle. A vehicle seen armed or flying before
-an automatic launch therefore loses the launch permission for the life of this process, and the
-operator engages as with `engage: operator`. If the autopilot does not report its landed state, the
-launch waits.
+Control belongs to the person who armed or flies the vehicle.
 """
 
 from __future__ import annotations
@@ -11,119 +8,19 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from companion.domain import FlightMode, LandedState, VehicleClass
+from companion.domain import FlightMode, LandedState
 from companion.guidance import events
 from companion.guidance.authority.control_authority import (
     GRANT_REASONS,
     REGAIN_QUIET_S,
-    Authority,
     hand_back_mode,
 )
 from companion.guidance.commands import Severity, Topic
 from companion.guidance.context import SessionContext
 from companion.guidance.findings import Finding, Reason, Verdict
-from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.requirements import missing_inputs
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M, VehicleView, vehicle_refusal
+from companion.guidance.flight.vehicle import ORIGIN_STEP_M, vehicle_refusal
 from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
-
-MISSING_PATIENCE_S = 10.0
-"""Inputs missing for less than this may still be starting up."""
-
-
-class WaitingReason:
-    """Reports why engagement is blocked."""
-
-    def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
-        self._vehicle = vehicle
-        self._authority = authority
-        self._fencing = fencing
-        self._missing_since_s: float | None = None
-        self._announced: str | None = None
-
-    def due_text(self, now_s: float) -> str | None:
-        """Return the reason if it differs from the one announced last, else None."""
-        text = self._text(now_s)
-        if text is None or text == self._announced:
-            return None
-        self._announced = text
-        return text
-
-    def _text(self, now_s: float) -> str | None:
-        if self._vehicle.objection is not None:
-            return f"no control: {self._vehicle.objection}"
-        if self._authority.has_id_conflict(now_s):
-            return "id conflict: another system uses our ids; stop one"
-        missing = missing_inputs(self._vehicle, self._fencing, now_s)
-        if self._vehicle.heartbeat is None or not missing:
-            self._missing_since_s = None
-        if not missing:
-            if not self._authority.needs_another_mode:
-                return None
-            mode = self._vehicle.name_of(self._vehicle.mode)
-            return f"no control: found in {mode}; switch to another mode"
-        if self._vehicle.heartbeat is None:
-            return None
-        if self._missing_since_s is None:
-            self._missing_since_s = now_s
-        if now_s - self._missing_since_s < MISSING_PATIENCE_S:
-            return None
-        return f"waiting for {' and '.join(missing)}"
-
-
-AIRBORNE = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
-GROUND_PATIENCE_S = 10.0
-"""Longest time without a reported landed state before the operator is warned."""
-
-
-class LaunchPermit:
-    """Decides whether an automatic launch is permitted."""
-
-    def __init__(self, context: SessionContext) -> None:
-        self._context = context
-        self._silent_since_s: float | None = None
-        self._is_silence_announced = False
-
-    @property
-    def is_wanted(self) -> bool:
-        """True if an automatic launch is configured and nothing has forbidden it."""
-        return self._context.is_launch_wanted
-
-    @property
-    def is_given(self) -> bool:
-        """True if the launch may begin now."""
-        vehicle = self._context.vehicle
-        is_down = vehicle.landed is LandedState.ON_GROUND and not vehicle.is_armed
-        return self.is_wanted and is_down
-
-    def tick(self, now_s: float) -> None:
-        """Check the vehicle, while waiting and in standby."""
-        context, vehicle = self._context, self._context.vehicle
-        if not self.is_wanted or vehicle.objection is not None:
-            return
-        if vehicle.vehicle_class is VehicleClass.HELICOPTER:
-            context.forbid_launch()
-            text = "no automatic takeoff: a helicopter's rotor is spun up by its pilot"
-            context.warn(f"{text}; switch to {vehicle.guided_name}")
-        elif vehicle.is_armed or vehicle.landed in AIRBORNE:
-            context.forbid_launch()
-            found = "armed" if vehicle.is_armed else "in the air"
-            text = f"no automatic takeoff: vehicle was found {found}"
-            context.warn(f"{text}; switch to {vehicle.guided_name}")
-        elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
-            self._await_landed_state(now_s)
-        else:
-            self._silent_since_s = None
-
-    def _await_landed_state(self, now_s: float) -> None:
-        if self._silent_since_s is None:
-            self._silent_since_s = now_s
-        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
-            return
-        self._is_silence_announced = True
-        text = "no automatic takeoff: autopilot reports no landed state"
-        self._context.warn(text)
-
+from companion.guidance.readiness import missing_inputs
 
 SETTLE_S = 2.0
 """Time for which a home that moved must be stable."""

@@ -21,9 +21,9 @@ from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.events import OperatorCommand
 from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.requirements import missing_inputs
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import PHASE_WORDS, Phase
+from companion.guidance.readiness import missing_inputs
 from companion.guidance.session import EmitterStatus, GuidanceSession, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_flight import GOOD_POD

@@ -6,8 +6,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot
-from companion.guidance.flight.requirements import REQUIREMENTS
 from companion.guidance.phases import IN_CONTROL, Phase
+from companion.guidance.readiness import REQUIREMENTS
 from companion.link.autopilot_queries import PATIENCE_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario

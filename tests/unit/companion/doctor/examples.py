@@ -16,7 +16,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoArea, GeoFence
 from companion.geometry.polygons import Corners
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.flight.requirements import REQUIREMENTS
+from companion.guidance.readiness import REQUIREMENTS
 
 ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 

@@ -11,7 +11,7 @@ from companion.config.schema import CompanionConfig, LogConfig
 from companion.doctor.examination import examine, exit_code
 from companion.doctor.findings import CheckResult, Facts, Level, PlaceFacts, StreamRate
 from companion.domain import Autopilot
-from companion.guidance.flight.requirements import FENCE_MESSAGE, REQUIREMENTS
+from companion.guidance.readiness import FENCE_MESSAGE, REQUIREMENTS
 from companion.link.interface import VehicleParams
 from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
 

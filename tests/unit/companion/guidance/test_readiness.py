@@ -10,9 +10,8 @@ import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.events import AutopilotFenceChanged
-from companion.guidance.flight.requirements import REQUIREMENTS, missing_inputs
-from companion.guidance.handover import MISSING_PATIENCE_S
 from companion.guidance.phases import IN_CONTROL, Phase
+from companion.guidance.readiness import MISSING_PATIENCE_S, REQUIREMENTS, missing_inputs
 from companion.link.interface import VehicleParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

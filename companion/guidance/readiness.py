@@ -1,0 +1,205 @@
+"""Readiness for control: the inputs that it needs, why it is blocked, and the launch permit.
+
+The inputs are one row each, for readiness, its texts and the doctor's verdict; docs/flying.md has
+the same rows, and a test compares them.
+
+A vehicle seen armed or flying before an automatic launch loses the launch permission for the life
+of this process, and the operator engages as with `engage: operator`. If the autopilot does not
+report its landed state, the launch waits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from companion.domain import Autopilot, LandedState, VehicleClass
+from companion.guidance.authority.control_authority import Authority
+from companion.guidance.context import SessionContext
+from companion.guidance.flight.fencing import Fencing
+from companion.guidance.flight.vehicle import (
+    LANDED_PATIENCE_S,
+    LINK_LOST_S,
+    MODE_UNKNOWN_AFTER_S,
+    STALE_STATE_S,
+    VehicleView,
+)
+
+FENCE_MESSAGE = "MISSION_ITEM_INT"
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """One input without which control cannot begin."""
+
+    text: str
+    """Name of the input in the operator's texts."""
+    message: str
+    """MAVLink message that provides it."""
+    is_met: Callable[[VehicleView, Fencing, float], bool]
+    patience_s: float = math.inf
+    """Seconds after its last message until it is missing; inf: once known, it stays known."""
+    only_for: Autopilot | None = None
+    """The only kind of autopilot that has to provide it; None: all kinds."""
+
+    def is_needed(self, autopilot: Autopilot) -> bool:
+        """Return True if this kind of autopilot has to provide it."""
+        return self.only_for in (None, autopilot)
+
+
+REQUIREMENTS = (
+    Requirement(
+        "the autopilot",
+        "HEARTBEAT",
+        lambda vehicle, _, now_s: vehicle.heartbeat is not None and not vehicle.is_link_lost(now_s),
+        LINK_LOST_S,
+    ),
+    Requirement(
+        "the flight mode",
+        "HEARTBEAT",
+        lambda vehicle, _, now_s: vehicle.heartbeat is None or vehicle.mode_watch.is_known(now_s),
+        MODE_UNKNOWN_AFTER_S,
+    ),
+    Requirement(
+        "a local position",
+        "LOCAL_POSITION_NED",
+        lambda vehicle, _, now_s: vehicle.is_position_fresh(now_s),
+        STALE_STATE_S,
+    ),
+    Requirement(
+        "a home position",
+        "HOME_POSITION",
+        lambda vehicle, _, __: vehicle.home_enu_m is not None,
+    ),
+    Requirement(
+        "the origin",
+        "GPS_GLOBAL_ORIGIN",
+        lambda vehicle, fencing, _: vehicle.has_origin and "the origin" not in fencing.missing,
+    ),
+    Requirement(
+        "the landed state",
+        "EXTENDED_SYS_STATE",
+        lambda vehicle, _, now_s: (
+            vehicle.landed is not LandedState.UNKNOWN and vehicle.is_landed_fresh(now_s)
+        ),
+        LANDED_PATIENCE_S,
+        only_for=Autopilot.ARDUPILOT,  # it ignores setpoints on the ground
+    ),
+    Requirement(
+        "the autopilot's fence",
+        FENCE_MESSAGE,
+        lambda _, fencing, __: "the autopilot's fence" not in fencing.missing,
+    ),
+)
+
+
+def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list[str]:
+    """Return the missing inputs in words; a position delayed by a slow link is named as such."""
+    texts = [
+        row.text
+        for row in REQUIREMENTS
+        if row.is_needed(vehicle.autopilot) and not row.is_met(vehicle, fencing, now_s)
+    ]
+    return [
+        vehicle.missing_position_text(now_s) if text == "a local position" else text
+        for text in texts
+    ]
+
+
+MISSING_PATIENCE_S = 10.0
+"""Inputs missing for less than this may still be starting up."""
+
+
+class WaitingReason:
+    """Reports why engagement is blocked."""
+
+    def __init__(self, vehicle: VehicleView, authority: Authority, fencing: Fencing) -> None:
+        self._vehicle = vehicle
+        self._authority = authority
+        self._fencing = fencing
+        self._missing_since_s: float | None = None
+        self._announced: str | None = None
+
+    def due_text(self, now_s: float) -> str | None:
+        """Return the reason if it differs from the one announced last, else None."""
+        text = self._text(now_s)
+        if text is None or text == self._announced:
+            return None
+        self._announced = text
+        return text
+
+    def _text(self, now_s: float) -> str | None:
+        if self._vehicle.objection is not None:
+            return f"no control: {self._vehicle.objection}"
+        if self._authority.has_id_conflict(now_s):
+            return "id conflict: another system uses our ids; stop one"
+        missing = missing_inputs(self._vehicle, self._fencing, now_s)
+        if self._vehicle.heartbeat is None or not missing:
+            self._missing_since_s = None
+        if not missing:
+            if not self._authority.needs_another_mode:
+                return None
+            mode = self._vehicle.name_of(self._vehicle.mode)
+            return f"no control: found in {mode}; switch to another mode"
+        if self._vehicle.heartbeat is None:
+            return None
+        if self._missing_since_s is None:
+            self._missing_since_s = now_s
+        if now_s - self._missing_since_s < MISSING_PATIENCE_S:
+            return None
+        return f"waiting for {' and '.join(missing)}"
+
+
+AIRBORNE = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
+GROUND_PATIENCE_S = 10.0
+"""Longest time without a reported landed state before the operator is warned."""
+
+
+class LaunchPermit:
+    """Decides whether an automatic launch is permitted."""
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+        self._silent_since_s: float | None = None
+        self._is_silence_announced = False
+
+    @property
+    def is_wanted(self) -> bool:
+        """True if an automatic launch is configured and nothing has forbidden it."""
+        return self._context.is_launch_wanted
+
+    @property
+    def is_given(self) -> bool:
+        """True if the launch may begin now."""
+        vehicle = self._context.vehicle
+        is_down = vehicle.landed is LandedState.ON_GROUND and not vehicle.is_armed
+        return self.is_wanted and is_down
+
+    def tick(self, now_s: float) -> None:
+        """Check the vehicle, while waiting and in standby."""
+        context, vehicle = self._context, self._context.vehicle
+        if not self.is_wanted or vehicle.objection is not None:
+            return
+        if vehicle.vehicle_class is VehicleClass.HELICOPTER:
+            context.forbid_launch()
+            text = "no automatic takeoff: a helicopter's rotor is spun up by its pilot"
+            context.warn(f"{text}; switch to {vehicle.guided_name}")
+        elif vehicle.is_armed or vehicle.landed in AIRBORNE:
+            context.forbid_launch()
+            found = "armed" if vehicle.is_armed else "in the air"
+            text = f"no automatic takeoff: vehicle was found {found}"
+            context.warn(f"{text}; switch to {vehicle.guided_name}")
+        elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
+            self._await_landed_state(now_s)
+        else:
+            self._silent_since_s = None
+
+    def _await_landed_state(self, now_s: float) -> None:
+        if self._silent_since_s is None:
+            self._silent_since_s = now_s
+        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
+            return
+        self._is_silence_announced = True
+        text = "no automatic takeoff: autopilot reports no landed state"
+        self._context.warn(text)
