@@ -250,12 +250,26 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
             break
         for index, other in enumerate(kept):
             if _distance2(candidate.state, other.state) < MERGE_DISTANCE2:
-                merged = float(np.logaddexp(other.log_weight, log_weight))
-                kept[index] = replace(other, log_weight=merged)
+                kept[index] = _merged(other, replace(candidate, log_weight=log_weight))
                 break
         else:
             kept.append(replace(candidate, log_weight=log_weight))
     return ranked(kept)
+
+
+def _merged(better: Hypothesis, other: Hypothesis) -> Hypothesis:
+    """Return two hypotheses as one at the better place, with the probability of both.
+
+    Of a window's two covariances it has the mixture's second moment about that place: the other
+    place is as probable as before, although it is no longer told apart.
+    """
+    log_weight = float(np.logaddexp(better.log_weight, other.log_weight))
+    here_m2, there_m2 = better.least_covariance_m2, other.least_covariance_m2
+    if here_m2 is not None and there_m2 is not None:
+        share = math.exp(other.log_weight - log_weight)
+        away = other.state.mean[:2] - better.state.mean[:2]
+        here_m2 = here_m2 + share * (there_m2 + np.outer(away, away) - here_m2)
+    return replace(better, log_weight=log_weight, least_covariance_m2=here_m2)
 
 
 def _distance2(a: FilterState, b: FilterState) -> float:

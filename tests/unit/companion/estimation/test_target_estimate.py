@@ -10,7 +10,7 @@ import pytest
 
 from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy, TargetEstimate
 from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis
+from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis, consolidated
 from companion.estimation.target_estimate import (
     MAX_AMBIGUOUS,
     KeptEstimate,
@@ -97,6 +97,18 @@ def test_two_likely_places_are_ambiguous_and_both_are_told() -> None:
 def test_an_unlikely_one_does_not_count(probability: float, state: EstimateState) -> None:
     told = _told(_hypothesis(0.0, 1.0 - probability), _hypothesis(50.0, probability))
     assert told.state is state
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.9, 0.99])
+def test_places_too_vague_to_be_told_apart_keep_the_circle_of_both(probability: float) -> None:
+    both = [
+        _hypothesis(-2.7, probability, sigma_m=2.5, least_m=2.5),
+        _hypothesis(2.7, 1.0 - probability, sigma_m=2.5, least_m=2.5),
+    ]
+    merged = consolidated(both)
+    assert len(merged) == 1
+    assert _told(*merged).position_enu_m == (-2.7, 10.0)
+    assert _told(*merged).r95_m == pytest.approx(_told(*both).r95_m, rel=0.1)
 
 
 def test_many_places_are_no_place() -> None:
