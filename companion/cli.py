@@ -22,11 +22,11 @@ from companion.config.schema import (
 )
 from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.flight_setup import flight_links, radio_links, with_kept_offsets
+from companion.io.child_processes import clock_of
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.radio_recording import is_radio_recording
-from companion.io.shared_clock import clock_of
 from companion.link.interface import LinkRole
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import (

@@ -17,8 +17,8 @@ from companion import __version__
 from companion.arguments import RaisingParser, number_in
 from companion.entry import ignore_broken_pipe, is_interrupt
 from companion.errors import CompanionError, ConfigError
+from companion.io.child_processes import clock_of
 from companion.io.links.transports import Transport, parse_transport, udp_address
-from companion.io.shared_clock import clock_of
 from companion.io.shell import Shell
 from companion.mav.endpoint import Endpoint
 from sim_link.autopilot.endpoint import SimEndpoint

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.entry import ignore_broken_pipe
-from companion.io.child_process import free_udp_port
+from companion.io.child_processes import free_udp_port
 from tools.console import OneLineParser, positive
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -28,10 +28,9 @@ from companion.geometry.polygons import Point
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import Phase
-from companion.io.child_process import HOST, START_S, ChildProcess, free_udp_port
+from companion.io.child_processes import HOST, START_S, ChildProcess, Pacer, free_udp_port
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import FlightLink, UdpBind
-from companion.io.shared_clock import Pacer
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import LinkRole, LinkSpec
 from companion.run import FlightOptions, FlightView, fly, is_handed_over

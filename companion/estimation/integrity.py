@@ -18,9 +18,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filter_bank import OPEN, Gate
 from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
-from companion.estimation.noise import mean_band
+from companion.estimation.innovations import OPEN, Gate, mean_band
 from companion.estimation.screen import Objection, RecentShare
 from companion.estimation.window.antenna_check import ConfiguredAntennaCheck
 

@@ -22,7 +22,6 @@ from companion.domain import (
     TargetEstimate,
 )
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
-from companion.estimation.filter_bank import update_hypotheses
 from companion.estimation.filters.kalman import filter_of
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
@@ -37,9 +36,9 @@ from companion.estimation.hypotheses import (
     shift_hypothesis,
     state_step,
 )
+from companion.estimation.innovations import InnovationNoise, TrackerHealth, update_hypotheses
 from companion.estimation.integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
-from companion.estimation.noise import InnovationNoise, TrackerHealth
 from companion.estimation.screen import (
     MeasurementScreen,
     Objection,

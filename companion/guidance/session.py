@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from companion.domain import FlightMode, PositionEnu, TargetEstimate, Waypoint
-from companion.estimation.noise import TrackerHealth
+from companion.estimation.innovations import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance import events

@@ -24,7 +24,7 @@ from rich.text import Text
 
 from companion.domain import EstimateState
 from companion.errors import printable
-from companion.estimation.noise import TrackerHealth
+from companion.estimation.innovations import TrackerHealth
 from companion.guidance.messages import radii_of
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.session import EmitterStatus, GuidanceStatus

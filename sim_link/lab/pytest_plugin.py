@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar, cast, get_args
 import pytest
 
 if TYPE_CHECKING:
-    from companion.io.child_process import ChildProcess
+    from companion.io.child_processes import ChildProcess
     from sim_link.autopilot.scenario import FlavourName
     from sim_link.lab.faults.faulty_link import FaultyLink
     from sim_link.lab.mission.results import MissionResult
@@ -177,7 +177,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
     what it flies; the scenario is looked for beside the test.
     """
-    from companion.io.child_process import HOST, ChildProcess, free_udp_port
+    from companion.io.child_processes import HOST, ChildProcess, free_udp_port
 
     port = free_udp_port()
     arguments = ["-m", "sim_link", "--stop-on-eof", "--listen", f"{HOST}:{free_udp_port()}"]
@@ -221,7 +221,7 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
 @pytest.fixture
 def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
     """Yield a function that starts `companion`; by default its files are below `tmp_path`."""
-    from companion.io.child_process import ChildProcess
+    from companion.io.child_processes import ChildProcess
 
     started: list[ChildProcess] = []
 

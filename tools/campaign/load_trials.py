@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import PositionEnu
-from companion.io.child_process import HOST, ChildProcess
+from companion.io.child_processes import HOST, ChildProcess
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging

@@ -20,7 +20,7 @@ import yaml
 
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.child_process import HOST, ChildProcess, free_udp_ports
+from companion.io.child_processes import HOST, ChildProcess, free_udp_ports
 from companion.mav.dialect import mavlink
 from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission.flight_readers import EventTail

@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from companion.config.loader import read_text
-from companion.io.child_process import ChildProcess
+from companion.io.child_processes import ChildProcess
 from companion.mav.codec import MavCodec
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.incidents import IncidentRecord, VehicleFault

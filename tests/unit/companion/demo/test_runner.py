@@ -22,7 +22,7 @@ from companion.demo.runner import (
 from companion.domain import PositionAccuracy
 from companion.errors import ConfigError
 from companion.guidance.phases import Phase
-from companion.io.shared_clock import Pacer
+from companion.io.child_processes import Pacer
 
 BLOCK = [[30.0, 30.0], [45.0, 30.0], [45.0, 60.0], [30.0, 60.0]]
 EVERYWHERE = [[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]]

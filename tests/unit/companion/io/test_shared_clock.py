@@ -8,7 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from companion.io.shared_clock import LEEWAY_S, PATIENCE_S, VARIABLE, Pacer, SharedClock, clock_of
+from companion.io.child_processes import (
+    LEEWAY_S,
+    PATIENCE_S,
+    VARIABLE,
+    Pacer,
+    SharedClock,
+    clock_of,
+)
 from companion.io.shell import Clock
 
 STEP_S = 0.01

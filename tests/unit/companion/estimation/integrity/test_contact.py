@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filter_bank import OPEN, Gate
+from companion.estimation.innovations import OPEN, Gate
 from companion.estimation.integrity import GAP_S, Contact
 
 SHORT = Gate(passes_range=False, agrees_in_range=False)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filter_bank import Gate
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
     FilterState,
     ModalityReport,
     UpdateReport,
 )
+from companion.estimation.innovations import Gate
 from companion.estimation.integrity import CONTRADICTION_COUNT, TrackIntegrity
 from companion.estimation.screen import Objection
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterState, ModalityReport, UpdateReport
-from companion.estimation.noise import MAX_INFLATION, MAX_PRIOR_SHARE, InnovationNoise
+from companion.estimation.innovations import MAX_INFLATION, MAX_PRIOR_SHARE, InnovationNoise
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))
 THRESHOLDS = np.array([[1.5, math.inf], [1.5, 1.5], [1.5, 1.5]])

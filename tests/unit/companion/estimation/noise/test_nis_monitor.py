@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from companion.estimation.filters.target_filter import FilterState, ModalityReport, UpdateReport
-from companion.estimation.noise import InnovationNoise, mean_band
+from companion.estimation.innovations import InnovationNoise, mean_band
 
 START, LIMITS = InnovationNoise.starting(4.0), np.full((3, 2), np.inf)
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.estimation.noise import (
+from companion.estimation.innovations import (
     MAX_INFLATION,
     MIN_PAIRS,
     NOISE_FORGETTING,

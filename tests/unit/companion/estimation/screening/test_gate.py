@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filter_bank import GATE_SIGMAS, LONG_SIGMAS, OPEN, Gate
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
     FilterState,
     ModalityReport,
     UpdateReport,
 )
+from companion.estimation.innovations import GATE_SIGMAS, LONG_SIGMAS, OPEN, Gate
 from companion.estimation.measurement_model import AZIMUTH, COSINES
 
 STATE = FilterState.of(0.0, np.zeros(4), np.eye(4))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from companion.io.child_process import ChildProcess
+from companion.io.child_processes import ChildProcess
 from sim_link.lab.mission.flight_readers import EventTail
 
 

@@ -7,7 +7,7 @@ from unittest.mock import create_autospec
 import msgspec
 import pytest
 
-from companion.io.child_process import ChildProcess
+from companion.io.child_processes import ChildProcess
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

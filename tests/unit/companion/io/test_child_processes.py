@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.io.child_process import free_udp_ports
+from companion.io.child_processes import free_udp_ports
 
 
 def test_ports_of_one_flight_are_all_different() -> None:
