@@ -8,7 +8,6 @@ import numpy as np
 
 from companion.errors import ConfigError
 from sim_link.emulators import (
-    asked_modules,
     bearings,
     cellular,
     nlink,
@@ -51,9 +50,9 @@ KINDS: tuple[type[Emulator], ...] = (
     printed_lines.Bu01,
     printed_lines.PozyxSketch,
     printed_lines.Lr11xx,
-    asked_modules.Ryuw122,
-    asked_modules.Bu03,
-    asked_modules.Pozyx,
+    uwb_text.Ryuw122,
+    uwb_text.Bu03,
+    uwb_text.Pozyx,
     printed_lines.Kn5r,
     printed_lines.Rotaryclub,
     power.WifiScan,
