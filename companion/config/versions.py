@@ -1,4 +1,4 @@
-"""The version of the configuration's schema, and the migration of earlier files.
+"""The version of the configuration's schema, and the migration of files of schema 1.
 
 The number goes up when a key is renamed, moved, removed or changes its meaning; an added key does
 not change it. A file without a version is of the first.
@@ -6,8 +6,8 @@ not change it. A file without a version is of the first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from companion.errors import ConfigError
@@ -24,24 +24,6 @@ class Gone:
     """The advice to an operator whose file sets the key; empty: the value is fixed."""
     default: object = None
     """The former default: a copy of default.yaml may have it, and changes nothing by it."""
-
-
-def _nothing(raw: dict[str, Any]) -> Iterable[str]:
-    del raw
-    return ()
-
-
-@dataclass(frozen=True, slots=True)
-class Migration:
-    """Changes of the keys from one version to the next; keys are paths with dots."""
-
-    to: int
-    moved: Mapping[str, str] = field(default_factory=dict)
-    """Earlier path to present one; the value is kept."""
-    gone: Mapping[str, Gone] = field(default_factory=dict)
-    """Earlier path to the remedy; a file that has another value there is refused."""
-    merge: Callable[[dict[str, Any]], Iterable[str]] = _nothing
-    """Brings values of several earlier keys to one in place, and returns what it dropped."""
 
 
 _SETTINGS_OF = {
@@ -95,111 +77,85 @@ def _merge_patterns(planner: dict[str, Any]) -> list[str]:
 
 
 _OF_RADIO = "set {} in the radio's `settings` instead"
-MIGRATIONS: tuple[Migration, ...] = (
-    Migration(
-        2,
-        merge=_merge_to_2,
-        gone={
-            "emitters.most": Gone("delete it: 8, or as many as are listed", 8),
-            "mission.coast_drift_mps": Gone(default=1.0),
-            "mission.coast_sigma_max_m": Gone(default=30.0),
-            "estimation.adaptation": Gone(
-                "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
-            ),
-            "planner.reactive_crossing": Gone(
-                "delete it: the planner flies in the studies only, latched_crossing in flight",
-                {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
-            ),
-            "estimation.initial_inflation": Gone(default=4.0),
-            "estimation.adapt_inflation": Gone(default=True),
-            "estimation.range_gross_k": Gone("set filter.range_k_short instead", 6.0),
-            "estimation.acceptance.max_range_m": Gone(_OF_RADIO.format("range_max_m"), 2000.0),
-            "estimation.acceptance.max_age_s": Gone(_OF_RADIO.format("max_age_s"), 1.0),
-            "estimation.hypotheses.nearest_m": Gone(default=3.0),
-            "estimation.window.enabled": Gone(default=True),
-            "estimation.window.size": Gone(default=512),
-            "estimation.window.every": Gone(default=25),
-            "estimation.window.starts": Gone(default=12),
-            "estimation.filter.elevation_sigma_deg": Gone(
-                _OF_RADIO.format("elevation_sigma_deg"), 5.0
-            ),
-            "estimation.filter.use_elevation": Gone(
-                "delete it, and set elevation_sigma_deg: 90 in the radio's `settings`", True
-            ),
-            "estimation.filter.range_scale_min": Gone(
-                "delete it: range_scale_max bounds the scale to both sides"
-            ),
-            "estimation.filter.stamp_lag_s": Gone(_OF_RADIO.format("lag_s"), 0.0),
-            "estimation.filter.near_target_terms": Gone(default=True),
-            "planner.latched_crossing.arrival_radius_m": Gone(default=1.5),
-            "planner.latched_crossing.reaim_distance_m": Gone(default=3.0),
-            "planner.latched_crossing.overshoot_sigmas": Gone(default=3.0),
-            **dict.fromkeys(
-                (f"planner.{each}.arrival_radius_m" for each in _PATTERNS), Gone(default=1.5)
-            ),
-            "planner.lawnmower.start_corner": Gone(
-                "delete it: a lawnmower begins at the nearest corner", "nearest"
-            ),
-            "planner.fim.step_m": Gone(default=5.0),
-            "planner.fim.headings": Gone(default=16),
-            "planner.fim.range_offset_sigma_m": Gone(default=5.0),
-            "planner.fim.bearing_offset_sigma_deg": Gone(default=5.0),
-            "planner.fim.near_target_terms": Gone(default=True),
-            "limits.step_m": Gone(default=8.0),
-            "limits.navigation_sigma_m": Gone(
-                "delete it: raise fence_margin_m and altitude_min_m instead", 0.3
-            ),
-            "link.lossy_rate_hz": Gone("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
-            "link.lossy_share": Gone(default=0.2),
-        },
+GONE: Mapping[str, Gone] = {
+    "emitters.most": Gone("delete it: 8, or as many as are listed", 8),
+    "mission.coast_drift_mps": Gone(default=1.0),
+    "mission.coast_sigma_max_m": Gone(default=30.0),
+    "estimation.adaptation": Gone(
+        "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
     ),
-)
-"""Migrations in the order of their versions; the last one leads to `SCHEMA_VERSION`."""
+    "planner.reactive_crossing": Gone(
+        "delete it: the planner flies in the studies only, latched_crossing in flight",
+        {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
+    ),
+    "estimation.initial_inflation": Gone(default=4.0),
+    "estimation.adapt_inflation": Gone(default=True),
+    "estimation.range_gross_k": Gone("set filter.range_k_short instead", 6.0),
+    "estimation.acceptance.max_range_m": Gone(_OF_RADIO.format("range_max_m"), 2000.0),
+    "estimation.acceptance.max_age_s": Gone(_OF_RADIO.format("max_age_s"), 1.0),
+    "estimation.hypotheses.nearest_m": Gone(default=3.0),
+    "estimation.window.enabled": Gone(default=True),
+    "estimation.window.size": Gone(default=512),
+    "estimation.window.every": Gone(default=25),
+    "estimation.window.starts": Gone(default=12),
+    "estimation.filter.elevation_sigma_deg": Gone(_OF_RADIO.format("elevation_sigma_deg"), 5.0),
+    "estimation.filter.use_elevation": Gone(
+        "delete it, and set elevation_sigma_deg: 90 in the radio's `settings`", True
+    ),
+    "estimation.filter.range_scale_min": Gone(
+        "delete it: range_scale_max bounds the scale to both sides"
+    ),
+    "estimation.filter.stamp_lag_s": Gone(_OF_RADIO.format("lag_s"), 0.0),
+    "estimation.filter.near_target_terms": Gone(default=True),
+    "planner.latched_crossing.arrival_radius_m": Gone(default=1.5),
+    "planner.latched_crossing.reaim_distance_m": Gone(default=3.0),
+    "planner.latched_crossing.overshoot_sigmas": Gone(default=3.0),
+    **dict.fromkeys((f"planner.{each}.arrival_radius_m" for each in _PATTERNS), Gone(default=1.5)),
+    "planner.lawnmower.start_corner": Gone(
+        "delete it: a lawnmower begins at the nearest corner", "nearest"
+    ),
+    "planner.fim.step_m": Gone(default=5.0),
+    "planner.fim.headings": Gone(default=16),
+    "planner.fim.range_offset_sigma_m": Gone(default=5.0),
+    "planner.fim.bearing_offset_sigma_deg": Gone(default=5.0),
+    "planner.fim.near_target_terms": Gone(default=True),
+    "limits.step_m": Gone(default=8.0),
+    "limits.navigation_sigma_m": Gone(
+        "delete it: raise fence_margin_m and altitude_min_m instead", 0.3
+    ),
+    "link.lossy_rate_hz": Gone("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
+    "link.lossy_share": Gone(default=0.2),
+}
+"""Keys of schema 1 that schema 2 lacks, as paths with dots. A value that is not the former default
+is refused."""
 
 
-def renew(
-    raw: dict[str, Any],
-    name: str,
-    present: int = SCHEMA_VERSION,
-    migrations: Sequence[Migration] = MIGRATIONS,
-) -> list[str]:
+def renew(raw: dict[str, Any], name: str) -> list[str]:
     """Bring plain values of the file `name` to the present schema, in place.
 
     Returns the paths of keys that are gone and had their default. Raises `ConfigError` for an
-    unknown version, for other values of keys that are gone, and for a value that is given under its
-    earlier and its present name.
+    unknown version and for other values of keys that are gone.
     """
-    version = _version(raw, name, present)
-    dropped: list[str] = []
-    for migration in migrations:
-        if migration.to > version:
-            dropped += migration.merge(raw)
-            dropped += _drop(migration, raw, name)
-            _move(migration, raw, name)
-    raw[KEY] = present
-    return dropped
-
-
-def _version(raw: Mapping[str, Any], name: str, present: int) -> int:
     version = raw.get(KEY, 1)
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise ConfigError(f"{name}: $.{KEY}: expected a whole number from 1 to {present}")
-    if version > present:
+        raise ConfigError(f"{name}: $.{KEY}: expected a whole number from 1 to {SCHEMA_VERSION}")
+    if version > SCHEMA_VERSION:
         raise ConfigError(
             f"{name}: $.{KEY}: the file is of schema {version}, and this companion reads up to "
-            f"{present}; install a newer companion-guidance"
+            f"{SCHEMA_VERSION}; install a newer companion-guidance"
         )
-    return version
+    raw[KEY] = SCHEMA_VERSION
+    return [*_merge_to_2(raw), *_drop(raw, name)] if version < SCHEMA_VERSION else []
 
 
-def _drop(migration: Migration, raw: dict[str, Any], name: str) -> list[str]:
+def _drop(raw: dict[str, Any], name: str) -> list[str]:
     """Delete keys that are gone and had their default, with sections that they leave empty."""
-    dropped = [path for path in migration.gone if _owner(raw, path) is not None]
+    dropped = [path for path in GONE if is_in(raw, path)]
     for path in dropped:
-        gone = migration.gone[path]
+        gone = GONE[path]
         if _pop(raw, path) != gone.default:
             advice = gone.advice or f"delete it: it is fixed at {gone.default}"
-            raise ConfigError(f"{name}: $.{path}: gone since schema {migration.to}; {advice}")
+            raise ConfigError(f"{name}: $.{path}: gone since schema {SCHEMA_VERSION}; {advice}")
     return dropped
 
 
@@ -214,27 +170,10 @@ def _pop(raw: dict[str, Any], path: str) -> object:
     return value
 
 
-def _move(migration: Migration, raw: dict[str, Any], name: str) -> None:
-    for earlier, path in migration.moved.items():
-        owner = _owner(raw, earlier)
-        if owner is None:
-            continue
-        if _owner(raw, path) is not None:
-            raise ConfigError(f"{name}: $.{earlier}: is $.{path} now, and both are given; keep one")
-        value = owner.pop(earlier.rpartition(".")[2])
-        *sections, key = path.split(".")
-        place = raw
-        for section in sections:
-            place = place.setdefault(section, {})
-            if not isinstance(place, dict):
-                raise ConfigError(f"{name}: $.{path}: `{section}` must be a section")
-        place[key] = value
-
-
-def _owner(raw: Mapping[str, Any], path: str) -> dict[str, Any] | None:
-    """Return the mapping that has the last key of a path, or None."""
-    *sections, key = path.split(".")
-    place: Any = raw
-    for section in sections:
-        place = place.get(section) if isinstance(place, dict) else None
-    return place if isinstance(place, dict) and key in place else None
+def is_in(raw: object, path: str) -> bool:
+    """Return True if plain values have a key, given as a path with dots."""
+    for part in path.split("."):
+        if not isinstance(raw, dict) or part not in raw:
+            return False
+        raw = raw[part]
+    return True

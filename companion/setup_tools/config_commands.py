@@ -25,7 +25,7 @@ from companion.config.schema import (
     with_radios,
     with_signing_key,
 )
-from companion.config.versions import KEY, SCHEMA_VERSION, renew
+from companion.config.versions import KEY, SCHEMA_VERSION, is_in, renew
 from companion.link.radio_settings import RadioSettings
 
 DEFAULT = "default"
@@ -55,7 +55,7 @@ def shown_values(file: Path | None, steps: Sequence[tuple[str, CompanionConfig]]
     for number, (origin, config) in enumerate(steps):
         for path, value in _leaves(config, ""):
             if number == 0:
-                origins[path] = origin if _is_in(written, path) else DEFAULT
+                origins[path] = origin if is_in(written, path) else DEFAULT
             elif value != values[path]:
                 origins[path] = origin
             values[path] = value
@@ -117,14 +117,6 @@ def _written(file: Path) -> dict[str, Any]:
     if not has_version:
         del raw[KEY]
     return raw
-
-
-def _is_in(raw: object, path: str) -> bool:
-    for part in path.split("."):
-        if not isinstance(raw, dict) or part not in raw:
-            return False
-        raw = raw[part]
-    return True
 
 
 def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
