@@ -35,7 +35,7 @@ from sim_link.autopilot.scenario import Scenario  # noqa: E402
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal  # noqa: E402
 
 PRODUCT = str(ROOT / "companion") + "/"
-END = "TargetTracker.fuse"
+END = "TargetTracker.fusion"
 """Function at whose report the path ends: the measurement has moved the estimate, or was refused.
 Between its steps it returns numbers, which is no end.
 """

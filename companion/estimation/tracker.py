@@ -44,7 +44,7 @@ from companion.estimation.screen import (
     Objection,
     RejectReason,
 )
-from companion.estimation.stepwise import Steps, Stepwise, passes, while_same
+from companion.estimation.stepwise import Steps, Stepwise, finish, passes, while_same
 from companion.estimation.target_estimate import (
     KeptEstimate,
     estimate_of,
@@ -128,8 +128,17 @@ class TargetTracker:
         """Counts of measurements, or components of them, that were not fused, by reason."""
         return self._screen.rejected
 
-    @Stepwise
     def fuse(
+        self,
+        measurement: RangingMeasurement,
+        sensor_enu_m: PositionEnu | None,
+        now_s: float,
+        own: PositionAccuracy | None = None,
+    ) -> FusionReport:
+        """Process one measurement at once; see `fusion`."""
+        return finish(self.fusion(measurement, sensor_enu_m, now_s, own))
+
+    def fusion(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,

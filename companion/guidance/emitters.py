@@ -20,7 +20,7 @@ from companion.domain import Params, PositionAccuracy, PositionEnu, RangingMeasu
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screen import RejectReason, reject_reason_of
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
@@ -173,8 +173,7 @@ class EmitterQueue:
         rest = [n for n in self._trackers if n not in self.reported and n != now]
         return sorted(rest, key=self._rank)
 
-    @Stepwise
-    def fuse(
+    def fusion(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
@@ -191,7 +190,7 @@ class EmitterQueue:
             tracker = self._begin(measurement.emitter_id)
         if tracker.accepted == 0:  # all that the search has left, until the first is accepted
             tracker.prior = self.search_prior()
-        report = yield from tracker.fuse.steps(measurement, sensor_enu_m, now_s, own)
+        report = yield from tracker.fusion(measurement, sensor_enu_m, now_s, own)
         if self.is_single or report.reject_reason is not None or sensor_enu_m is None:
             return report
         self._place = sensor_enu_m[:2]

@@ -22,7 +22,7 @@ from typing import NamedTuple
 from companion.domain import PositionAccuracy, RangingMeasurement
 from companion.estimation.antenna import ABOUT_VERTICAL, seen_in_enu
 from companion.estimation.screen import RejectReason, identity_of
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps, finish
 from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
@@ -170,7 +170,7 @@ class RangingListener:
 
         `own` is the accuracy of the vehicle position on the Earth; None leaves it unchanged.
         """
-        return [self.fuse(Queued(each, now_s, own)) for each in self.take_due(now_s)]
+        return [finish(self.fusion(Queued(each, now_s, own))) for each in self.take_due(now_s)]
 
     def take_due(self, now_s: float) -> list[RangingMeasurement]:
         """Remove and return measurements whose position is known, or will stay unknown."""
@@ -193,8 +193,7 @@ class RangingListener:
             return not self._is_array
         return measurement.measured_at_s <= newest[0]
 
-    @Stepwise
-    def fuse(self, queued: Queued) -> Steps[FusionReport]:
+    def fusion(self, queued: Queued) -> Steps[FusionReport]:
         """Fuse a measurement, seen from the vehicle position at its time."""
         measurement, now_s, own = queued
         if not self._track.is_trusted_at(measurement.measured_at_s):
@@ -204,7 +203,7 @@ class RangingListener:
         if is_turned or self._is_array:
             attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
             measurement = seen_in_enu(measurement, attitude, self._antenna)
-        report = yield from self._emitters.fuse.steps(measurement, sensor_enu_m, now_s, own)
+        report = yield from self._emitters.fusion(measurement, sensor_enu_m, now_s, own)
         return report.of(measurement, sensor_enu_m)
 
 
@@ -268,7 +267,7 @@ class Measuring:
         self._antennas = AntennaMessages()
         self._offsets = OffsetMessages()
         self._listener = RangingListener(context.emitters, context.vehicle.track)
-        self._queue = FusionQueue(self._listener.fuse.steps)
+        self._queue = FusionQueue(self._listener.fusion)
         self._ticks_behind = 0
         """Control ticks since `go_on`, with measurements left to be fused."""
 

@@ -21,7 +21,7 @@ import pytest
 from companion.config.schema import CompanionConfig, CrossingKind, PlannerConfig
 from companion.config.tunables import Tunables
 from companion.domain import PositionAccuracy, PositionEnu, RangingMeasurement, WaypointReason
-from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
@@ -140,16 +140,14 @@ class WatchedTracker(TargetTracker):
         super().__init__(params)
         self.means: list[list[float]] = []
 
-    @Stepwise
-    def fuse(
+    def fusion(
         self,
         measurement: RangingMeasurement,
         sensor_enu_m: PositionEnu | None,
         now_s: float,
         own: PositionAccuracy | None = None,
     ) -> Steps[FusionReport]:
-        whole = TargetTracker.fuse.steps(self, measurement, sensor_enu_m, now_s, own)
-        report = yield from whole
+        report = yield from super().fusion(measurement, sensor_enu_m, now_s, own)
         self.means.append(self.hypotheses[0].state.mean.tolist())
         return report
 

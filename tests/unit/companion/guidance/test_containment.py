@@ -9,7 +9,6 @@ from typing import Any, NoReturn
 import pytest
 
 from companion.domain import FlightMode
-from companion.estimation.stepwise import Callee
 from companion.guidance.commands import SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.phases import Phase
@@ -25,7 +24,7 @@ def break_part(flight: ScriptedFlight, part: str, monkeypatch: pytest.MonkeyPatc
         raise ZeroDivisionError("of the test")
 
     target = flight.session.tracker if part == "tracker" else flight.session.flight_plan
-    monkeypatch.setattr(target, "fuse" if part == "tracker" else "renew", fail)
+    monkeypatch.setattr(target, "fusion" if part == "tracker" else "renew", fail)
 
 
 def now_and_then(call: Callable[..., Any], failures: Iterator[bool]) -> Callable[..., Any]:
@@ -66,7 +65,7 @@ def test_one_error_is_held_on_for_a_second_and_told(monkeypatch: pytest.MonkeyPa
     flight = ScriptedFlight().in_control()
     failures = itertools.chain([True], itertools.repeat(False))
     tracker = flight.session.tracker
-    monkeypatch.setattr(tracker, "fuse", Callee(now_and_then(tracker.fuse.steps, failures)))
+    monkeypatch.setattr(tracker, "fusion", now_and_then(tracker.fusion, failures))
     flight.fly(0.2)
     assert flight.is_in(Phase.HOLD)
     assert "internal error in the estimator: ValueError: of the test" in flight.texts
@@ -82,7 +81,7 @@ def test_errors_far_apart_are_no_reason_to_hand_back(monkeypatch: pytest.MonkeyP
     flight = ScriptedFlight().in_control()
     failures = (number % 60 == 0 for number in itertools.count())
     tracker = flight.session.tracker
-    monkeypatch.setattr(tracker, "fuse", Callee(now_and_then(tracker.fuse.steps, failures)))
+    monkeypatch.setattr(tracker, "fusion", now_and_then(tracker.fusion, failures))
     flight.fly(40.0)
     assert flight.asked_modes() == []
     assert flight.session.context.containment.errors["estimator"] >= 6

@@ -9,6 +9,7 @@ import pytest
 
 from companion.domain import RangingMeasurement
 from companion.estimation.screen import RejectReason
+from companion.estimation.stepwise import finish
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
@@ -53,7 +54,7 @@ class Heard:
                     bearing_sigma_rad=0.03,
                     quality=None if quality is None else quality / number,
                 )
-                reports.append(self.queue.fuse(measurement, HERE, self.now_s))
+                reports.append(finish(self.queue.fusion(measurement, HERE, self.now_s)))
                 self.queue.choose(self.now_s, is_flying=is_flying)
         return reports
 
@@ -103,7 +104,7 @@ def test_the_strongest_is_the_one_of_most_received_power() -> None:
     for number, power_dbm in [(1, -80.0), (2, -60.0), (3, -70.0)] * MIN_ACCEPTED:
         heard.now_s += 0.1
         measurement = RangingMeasurement(number, heard.now_s, power_dbm=power_dbm)
-        heard.queue.fuse(measurement, HERE, heard.now_s)
+        finish(heard.queue.fusion(measurement, HERE, heard.now_s))
         heard.queue.choose(heard.now_s, is_flying=False)
     assert heard.current == 2
     assert heard.queue.waiting == [3, 1]
@@ -155,8 +156,8 @@ def test_one_that_is_lost_alone_stays_current() -> None:
 def test_strangers_cannot_make_filters_without_end() -> None:
     heard = Heard("nearest")
     for number in range(QueueParams.most):
-        heard.queue.fuse(ranging(number), HERE, heard.now_s)
-    report = heard.queue.fuse(ranging(QueueParams.most), HERE, heard.now_s)
+        finish(heard.queue.fusion(ranging(number), HERE, heard.now_s))
+    report = finish(heard.queue.fusion(ranging(QueueParams.most), HERE, heard.now_s))
     assert report.reject_reason is RejectReason.OTHER_EMITTER
     assert len(heard.queue.trackers) == QueueParams.most
 
@@ -169,7 +170,7 @@ def test_absurd_measurements_of_a_stranger_get_no_filter() -> None:
     heard = Heard("nearest")
     heard.hear(1)
     absurd = RangingMeasurement(emitter_id=9, measured_at_s=heard.now_s, range_m=-5.0)
-    report = heard.queue.fuse(absurd, HERE, heard.now_s)
+    report = finish(heard.queue.fusion(absurd, HERE, heard.now_s))
     assert report.reject_reason not in (None, RejectReason.OTHER_EMITTER)
     assert [tracker.emitter_id for tracker in heard.queue.trackers] == [1]
 
@@ -236,7 +237,7 @@ def test_a_search_that_goes_on_waits_for_another_and_masks_those_reported() -> N
 def test_a_search_that_goes_on_ends_where_no_filter_is_left_for_another() -> None:
     heard = Heard("nearest", searches_on=True)
     for number in range(QueueParams.most):
-        heard.queue.fuse(ranging(number), HERE, heard.now_s)
+        finish(heard.queue.fusion(ranging(number), HERE, heard.now_s))
     turns = [heard.queue.report_current() for _ in range(QueueParams.most)]
     assert turns == [True] * (QueueParams.most - 1) + [False]
     assert heard.queue.progress.sought is None
