@@ -16,7 +16,6 @@ from sim_link.autopilot.incidents import Incident, OtherVehicle
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.vehicle_types import VehicleTypeName
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import (
     Coordinate,
     EmitterParams,
@@ -27,6 +26,7 @@ from sim_link.world.environment import (
 )
 from sim_link.world.field_radio import Measures
 from sim_link.world.point_mass import MulticopterParams, Share, WindParams
+from sim_link.world.radio_channel import AntennaModelParams
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]

@@ -18,8 +18,8 @@ from typing import ClassVar
 import numpy as np
 
 from companion.domain import RangingMeasurement
-from sim_link.world.antenna import AntennaKind
 from sim_link.world.field_radio import Measures
+from sim_link.world.radio_channel import AntennaKind
 
 LIGHT_MPS = 299_792_458.0
 U32 = 1 << 32

@@ -22,8 +22,8 @@ from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, mak
 from sim_link.fleet.vehicles import load_scenario
 from sim_link.lab.radio_follower import GeodeticEmitter, RadioFollower
 from sim_link.lab.radio_outlets import is_stdout, parse_outlet
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import Emitter
+from sim_link.world.radio_channel import AntennaModelParams
 
 MOST_HZ = 50.0
 """Positions come no faster."""

@@ -30,15 +30,6 @@ import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.geometry.coordinates import wrap_pi
-from sim_link.world.antenna import (
-    AntennaModelParams,
-    Printed,
-    bent,
-    direction_enu,
-    printed,
-    seen_by_antenna,
-    turned_about_vertical,
-)
 from sim_link.world.environment import (
     NO_MEMORY,
     ChannelParams,
@@ -53,7 +44,18 @@ from sim_link.world.environment import (
 )
 from sim_link.world.line_of_sight import detour, is_blocked_in_space, walls_between
 from sim_link.world.point_mass import LEVEL, Components, EulerAngles, seen_from
-from sim_link.world.radio_channel import MIN_RANGE_M, ChannelDraw, RadioChannel
+from sim_link.world.radio_channel import (
+    MIN_RANGE_M,
+    AntennaModelParams,
+    ChannelDraw,
+    Printed,
+    RadioChannel,
+    bent,
+    direction_enu,
+    printed,
+    seen_by_antenna,
+    turned_about_vertical,
+)
 
 Measures = Literal["both", "range", "bearing", "power"]
 IDEAL = AntennaModelParams()

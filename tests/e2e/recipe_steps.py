@@ -613,8 +613,7 @@ RECIPES = (
         RULE,
         frozenset(
             {
-                "sim_link/lab/conformance/companion_identity_rules.py",
-                "sim_link/lab/conformance/companion_setpoint_rules.py",
+                "sim_link/lab/conformance/companion_rules.py",
                 "sim_link/lab/conformance/autopilot_notes.yaml",
                 "docs/conformance.md",
             }

@@ -18,8 +18,8 @@ from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.fleet.vehicles import load_scenario
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
+from sim_link.world.radio_channel import AntennaModelParams
 from tests.loop.loop_helpers import AUTO, Loop
 
 CONFIGS = Path(__file__).parents[2] / "configs"

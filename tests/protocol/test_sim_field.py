@@ -12,9 +12,9 @@ from companion.domain import FlightMode
 from companion.mav.dialect import MAVLink_radio_ranging_message, RangingFlag, mavlink
 from sim_link.autopilot.navigation import FixChange, NavigationParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, PayloadParams, Scenario
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import FieldChannelParams
 from sim_link.world.point_mass import MulticopterParams, WindParams
+from sim_link.world.radio_channel import AntennaModelParams
 from tests.protocol.sim_helpers import ACCEPTED, ARM, GroundStation, local_setpoint
 
 ERRS = NavigationParams(

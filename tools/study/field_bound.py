@@ -27,9 +27,9 @@ from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep.flight import Flight, MemoryJournal
 from sim_link.lab.pool import open_pool
-from sim_link.world.antenna import AntennaModelParams, direction_enu, seen_by_antenna
 from sim_link.world.environment import in_the_field
 from sim_link.world.point_mass import EulerAngles
+from sim_link.world.radio_channel import AntennaModelParams, direction_enu, seen_by_antenna
 from tools.console import OneLineParser, non_negative, positive, shown
 from tools.run_study import STUDIES
 from tools.study.field_flights import FieldFlight, flights_of

@@ -25,7 +25,7 @@ from companion.io.links import transports
 from companion.io.links.link import Link
 from companion.io.state.signing_keys import load_signing_key
 from companion.mav.endpoint import Address, Chunk
-from sim_link.lab.conformance import companion_identity_rules, companion_setpoint_rules, rules
+from sim_link.lab.conformance import companion_rules, rules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions
 from sim_link.lab.conformance.vehicle_probe import SILENCE_S
 from sim_link.lab.conformance.vehicle_rules import (
@@ -35,7 +35,6 @@ from sim_link.lab.conformance.vehicle_rules import (
     frame_rules,
     mission_rules,
     parameter_rules,
-    setpoint_mode_rules,
     setpoint_rules,
     signing_rules,
     telemetry_rules,
@@ -53,9 +52,7 @@ MODULES = (
     upload_rules,
     flight_rules,
     setpoint_rules,
-    setpoint_mode_rules,
-    companion_identity_rules,
-    companion_setpoint_rules,
+    companion_rules,
 )
 
 

@@ -15,8 +15,8 @@ import pytest
 from companion.kernel import Matrix
 from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import EmitterParams, FieldChannelParams
+from sim_link.world.radio_channel import AntennaModelParams
 from tools.study.field_bound import Priors, bound_m2, median_m
 
 VIEWS, RADIUS_M, HEIGHT_M = 36, 30.0, 40.0

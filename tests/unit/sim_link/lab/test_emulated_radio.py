@@ -22,8 +22,8 @@ from sim_link.cli import main
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator
 from sim_link.lab.radio_follower import FOLLOW, SEND, RadioFollower
 from sim_link.lab.radio_outlets import HttpLink, PageAddress, parse_outlet, parse_page
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
+from sim_link.world.radio_channel import AntennaModelParams
 
 ROOT = Path(__file__).resolve().parents[4]
 PEER = ("127.0.0.1", 14580)

@@ -15,8 +15,8 @@ from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.lab.radio_command import parse_emitter
 from sim_link.lab.radio_follower import FOLLOW, SEND, GeodeticEmitter, RadioFollower
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
+from sim_link.world.radio_channel import AntennaModelParams
 
 CLEAR = ChannelParams(
     range_offset_m=0.0, bearing_offset_deg=0.0, p_nlos=0.0, range_sigma_m=0.0, bearing_sigma_deg=0.0

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu
-from sim_link.world.antenna import (
+from sim_link.world.point_mass import LEVEL, Components, EulerAngles
+from sim_link.world.radio_channel import (
     AntennaModelParams,
     Printed,
     bent,
@@ -21,7 +22,6 @@ from sim_link.world.antenna import (
     seen_by_antenna,
     turned_about_vertical,
 )
-from sim_link.world.point_mass import LEVEL, Components, EulerAngles
 
 QUIET = (0.0, 0.0, 0.0)
 PLANAR, LINE, TWO_AXIS = (

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
-from sim_link.world.antenna import AntennaModelParams
 from sim_link.world.environment import (
     ChannelParams,
     Emitter,
@@ -26,7 +25,7 @@ from sim_link.world.environment import (
 from sim_link.world.field_radio import FieldRadio, Measures, burial_excess_m, link_margin_db
 from sim_link.world.line_of_sight import walls_between
 from sim_link.world.point_mass import LEVEL, EulerAngles
-from sim_link.world.radio_channel import RadioChannel
+from sim_link.world.radio_channel import AntennaModelParams, RadioChannel
 
 EMITTER = Emitter(EmitterParams())
 HERE = (10.0, 10.0, 20.0)
