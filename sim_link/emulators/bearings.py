@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sim_link.emulators.emulator import Answer, Emulator, Round, clamped, lines
+from sim_link.emulators.emulator import Answer, Emulator, LineEmulator, Round, clamped, lines
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S
 
 FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
@@ -191,7 +191,7 @@ def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tai
     return f"+UUDF:{tag},{rssi_dbm},{angles},{tail}"
 
 
-class Uudf(Emulator):
+class Uudf(LineEmulator):
     """A C209 board: whole degrees about its upright to the right, and upwards; no range.
 
     What it does not know of the elevation it says as 0.
@@ -210,19 +210,18 @@ class Uudf(Emulator):
         """Return the start-up message."""
         return lines(["+STARTUP"])
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a line for each tag whose advertisement was heard."""
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return a line for a tag whose advertisement was heard, in front."""
+        if answer.azimuth_rad is None or abs(answer.azimuth_rad) > 0.5 * math.pi:
+            return []
         clock_ms = self.device_ms(asked.sent_at_s)
-        return lines([self._line(answer, clock_ms) for answer in asked.heard if _in_front(answer)])
-
-    def _line(self, answer: Answer, clock_ms: int) -> str:
         angles = (turned_rad(answer), answer.elevation_rad or 0.0)
         azimuth_deg, elevation_deg = (clamped(math.degrees(angle), -90, 90) for angle in angles)
         rssi_dbm, number = round(answer.power_dbm), self.next_number()
         channel = self.CHANNELS[int(self._rng.integers(len(self.CHANNELS)))]
         tail = f'{rssi_dbm - 1},{channel},"{self.ANCHOR}","",{clock_ms},{number}'
         name = self.name_on_wire(answer.emitter_id)
-        return uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, tail)
+        return [uudf_line(name, azimuth_deg, elevation_deg, rssi_dbm, tail)]
 
 
 def turned_rad(answer: Answer) -> float:
@@ -235,10 +234,6 @@ def turned_rad(answer: Answer) -> float:
         return azimuth_rad
     right, up = math.sin(azimuth_rad), math.sin(answer.elevation_rad or 0.0)
     return math.atan2(right, math.sqrt(max(0.0, 1.0 - right * right - up * up)))
-
-
-def _in_front(answer: Answer) -> bool:
-    return answer.azimuth_rad is not None and abs(answer.azimuth_rad) <= 0.5 * math.pi
 
 
 CENTRE_HZ = 434_000_000.0

@@ -12,7 +12,15 @@ from __future__ import annotations
 
 import json
 
-from sim_link.emulators.emulator import LIGHT_MPS, Answer, Emulator, Round, clamped, lines
+from sim_link.emulators.emulator import (
+    LIGHT_MPS,
+    Answer,
+    Emulator,
+    LineEmulator,
+    Round,
+    clamped,
+    lines,
+)
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 LTE_STEP_M = 0.5 * LIGHT_MPS * 16.0 / (15_000.0 * 2048.0)
@@ -38,7 +46,7 @@ def rach_line(tti: int, preamble: int, offset: int, crnti: int) -> str:
     )
 
 
-class Srsran4g(Emulator):
+class Srsran4g(LineEmulator):
     """An LTE cell: a line whenever a phone is made to attach."""
 
     name = "srsran_4g"
@@ -50,16 +58,14 @@ class Srsran4g(Emulator):
         """Return the log of a cell that starts."""
         return lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a line for each whose random access was heard, and that it is connected."""
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return that its random access was heard, and that it is connected."""
+        if answer.range_m is None:
+            return []
         tti = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
-        texts = []
-        for answer in asked.heard:
-            if answer.range_m is not None:
-                offset, crnti = steps_of(answer.range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
-                preamble = int(self._rng.integers(PREAMBLES))
-                texts += [rach_line(tti, preamble, offset, crnti), f"User 0x{crnti:x} connected"]
-        return lines(texts)
+        offset, crnti = steps_of(answer.range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
+        preamble = int(self._rng.integers(PREAMBLES))
+        return [rach_line(tti, preamble, offset, crnti), f"User 0x{crnti:x} connected"]
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
@@ -98,7 +104,7 @@ class Srsran(Emulator):
         return str(FIRST_RNTI + emitter_id)
 
 
-class Oai(Emulator):
+class Oai(LineEmulator):
     """An NR cell at 30 kHz: two lines for each random access, which name no phone.
 
     The second one, of 2024 and later, has the distance; steps are rounded to the nearest.
@@ -110,19 +116,16 @@ class Oai(Emulator):
     rate_hz = 2.0
     most = 1
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a line for each phone that was heard."""
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return both lines of a phone that was heard."""
+        if answer.range_m is None:
+            return []
         subframe = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
-        frame, slot = subframe // SUBFRAMES, 2 * (subframe % SUBFRAMES) + 1
-        texts = []
-        for answer in asked.heard:
-            if answer.range_m is not None:
-                delay = max(0, round(answer.range_m / NR_STEP_M))
-                preamble = int(self._rng.integers(PREAMBLES))
-                energy = clamped(10.0 * (answer.power_dbm + 120.0), 1, 999)
-                texts.append(raproc_line(f"{frame}.{slot}", preamble, energy, delay))
-                texts.append(msg2_line(f"{frame}.{slot}", preamble, delay))
-        return lines(texts)
+        when = f"{subframe // SUBFRAMES}.{2 * (subframe % SUBFRAMES) + 1}"
+        delay = max(0, round(answer.range_m / NR_STEP_M))
+        preamble = int(self._rng.integers(PREAMBLES))
+        energy = clamped(10.0 * (answer.power_dbm + 120.0), 1, 999)
+        return [raproc_line(when, preamble, energy, delay), msg2_line(when, preamble, delay)]
 
 
 def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str:

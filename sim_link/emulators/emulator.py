@@ -162,6 +162,22 @@ class Emulator(ABC):
         return self._count
 
 
+class LineEmulator(Emulator):
+    """A radio that prints lines for each emitter by itself: those that answered, or all."""
+
+    prints_silence: ClassVar[bool] = False
+    """True if an emitter that did not answer has a line, too."""
+
+    def encode(self, asked: Round) -> bytes:
+        """Return the lines of each emitter, in their order."""
+        answers = asked.answers if self.prints_silence else asked.heard
+        return lines([text for each in answers for text in self.lines_of(each, asked)])
+
+    @abstractmethod
+    def lines_of(self, answer: Answer, asked: Round) -> Sequence[str]:
+        """Return the lines of one emitter of a round."""
+
+
 def lines(texts: Sequence[str]) -> bytes:
     """Return text as a serial port carries it."""
     return "".join(text + LINE_END for text in texts).encode("ascii")

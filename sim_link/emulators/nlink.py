@@ -220,9 +220,7 @@ class NLinkAoa(NLinkEmulator):
         """Return the header; without a network its clock stands still."""
         return Node(local_ms=clock_ms)
 
-    def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """Return a frame with all nodes that answered."""
-        return aoa_frame(node, peers)
+    frame = staticmethod(aoa_frame)
 
 
 class NLinkNode3(NLinkEmulator):
@@ -230,10 +228,7 @@ class NLinkNode3(NLinkEmulator):
 
     name = "nlink_node3"
     title = "Nooploop LinkTrack, NodeFrame3"
-
-    def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """Return a frame with all nodes that answered."""
-        return node_frame3(node, peers)
+    frame = staticmethod(node_frame3)
 
 
 class NLinkNode5(NLinkEmulator):
@@ -242,10 +237,7 @@ class NLinkNode5(NLinkEmulator):
     name = "nlink_node5"
     title = "Nooploop LinkTrack, NodeFrame5"
     ids: ClassVar[range] = range(1 << 16)
-
-    def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """Return a frame with all nodes that answered."""
-        return node_frame5(node, peers)
+    frame = staticmethod(node_frame5)
 
 
 class NLinkNode2(NLinkEmulator):
@@ -266,10 +258,7 @@ class NLinkTag0(NLinkEmulator):
     title = "Nooploop LinkTrack, TagFrame0"
     ids: ClassVar[range] = range(TAG_FRAME_ANCHORS)
     most: ClassVar[int] = TAG_FRAME_ANCHORS
-
-    def frame(self, node: Node, peers: Sequence[Peer]) -> bytes:
-        """Return a frame with all nodes; 0 for those that did not answer."""
-        return tag_frame0(node, peers)
+    frame = staticmethod(tag_frame0)
 
 
 class NLinkIot(NLinkEmulator):

@@ -13,7 +13,7 @@ import math
 import struct
 from typing import ClassVar
 
-from sim_link.emulators.emulator import U32, Answer, Emulator, Round, lines, mac_of
+from sim_link.emulators.emulator import U32, Answer, Emulator, LineEmulator, Round, lines, mac_of
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S
 
 CHANNEL_NOISE_DBM = -117.0
@@ -24,7 +24,7 @@ PULSE_NOISE_DBM = -150.0
 GATEWAY_EUI = "AA555A0000000101"
 
 
-class WifiScan(Emulator):
+class WifiScan(LineEmulator):
     """`iw dev wlan0 scan`, one channel again and again."""
 
     name = "wifi_scan"
@@ -33,11 +33,8 @@ class WifiScan(Emulator):
     gives = "power"
     rate_hz = 4.0
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a block for each access point."""
-        return lines([line for answer in asked.heard for line in self._block(answer, asked)])
-
-    def _block(self, answer: Answer, asked: Round) -> list[str]:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return a block for an access point."""
         return [
             f"BSS {mac_of(answer.emitter_id)}(on wlan0)",
             f"\tlast seen: {self.device_s(asked.sent_at_s):.3f}s [boottime]",
@@ -52,7 +49,7 @@ class WifiScan(Emulator):
         ]
 
 
-class BleScan(Emulator):
+class BleScan(LineEmulator):
     """`btmon` beside a scan of Bluetooth advertisements."""
 
     name = "ble_scan"
@@ -65,11 +62,8 @@ class BleScan(Emulator):
         """Return the monitor's head."""
         return lines(["Bluetooth monitor ver 5.65"])
 
-    def encode(self, asked: Round) -> bytes:
-        """Return an event for each advertisement."""
-        return lines([line for answer in asked.heard for line in self._event(answer)])
-
-    def _event(self, answer: Answer) -> list[str]:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+        """Return an event for an advertisement."""
         power_dbm = round(answer.power_dbm)
         return [
             f"> HCI Event: LE Meta Event (0x3e) plen 40    #{self.next_number()} [hci0] 35.351116",
@@ -82,7 +76,7 @@ class BleScan(Emulator):
         ]
 
 
-class Esp32Sniffer(Emulator):
+class Esp32Sniffer(LineEmulator):
     """An ESP32 in promiscuous mode, a line for each frame of management."""
 
     name = "esp32_sniffer"
@@ -90,16 +84,13 @@ class Esp32Sniffer(Emulator):
     names = "{mac}"
     gives = "power"
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a probe request of each device."""
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+        """Return a probe request of a device."""
         to_all = "ff:ff:ff:ff:ff:ff"
-        return lines(
-            [
-                f"PACKET TYPE=MGMT, CHAN=06, RSSI={round(answer.power_dbm):02d}, ADDR1={to_all}, "
-                f"ADDR2={mac_of(answer.emitter_id)}, ADDR3={to_all}"
-                for answer in asked.heard
-            ]
-        )
+        return [
+            f"PACKET TYPE=MGMT, CHAN=06, RSSI={round(answer.power_dbm):02d}, ADDR1={to_all}, "
+            f"ADDR2={mac_of(answer.emitter_id)}, ADDR3={to_all}"
+        ]
 
 
 def heard_by_gateway(power_dbm: float) -> tuple[int, float]:

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from sim_link.emulators.bearings import turned_rad
-from sim_link.emulators.emulator import U32, Answer, Emulator, Round, clamped, lines
+from sim_link.emulators.emulator import U32, Answer, Emulator, LineEmulator, Round, clamped, lines
 from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 BANDWIDTH_HZ = 812_500.0
@@ -75,22 +75,21 @@ class Ndjson(Emulator):
         return "".join(texts).encode()
 
 
-class Lines(Emulator):
+class Lines(LineEmulator):
     """A sketch of a user's: address, metres, nanoseconds, share of the frames in percent."""
 
     name = "lines"
     title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
     names = "{mac_capitals}"
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a line for each that answered."""
-        return lines([self._line(answer) for answer in asked.heard if answer.range_m is not None])
-
-    def _line(self, answer: Answer) -> str:
-        range_m = answer.range_m or 0.0
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+        """Return a line with the range; none without one."""
+        range_m = answer.range_m
+        if range_m is None:
+            return []
         rtt_ns, percent = round(1e9 * round_trip_s(range_m)), round(100.0 * answer.quality)
         name = self.name_on_wire(answer.emitter_id)
-        return f"{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"
+        return [f"{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"]
 
 
 def sx1280_valid(raw: int, rssi_dbm: int) -> str:
@@ -99,7 +98,7 @@ def sx1280_valid(raw: int, rssi_dbm: int) -> str:
     return f"Valid,Register,{raw:X},Distance,{raw * RAW_STEP_M:.1f},{rssi}"
 
 
-class Sx1280(Emulator):
+class Sx1280(LineEmulator):
     """A ranging master at 812.5 kHz, whose output has no names."""
 
     name = "sx1280"
@@ -107,20 +106,18 @@ class Sx1280(Emulator):
     names = ""
     most = 1
     rate_hz = 5.0
+    prints_silence = True
 
     def boot(self) -> bytes:
         """Return the banner, with the calibration in use."""
         return lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return a line in any case."""
-        return lines([self._line(answer) for answer in asked.answers])
-
-    def _line(self, answer: Answer) -> str:
         if answer.range_m is None:
-            return "NotValid,Irq,8000"
+            return ["NotValid,Irq,8000"]
         raw = clamped(answer.range_m / RAW_STEP_M, 0, (1 << 23) - 1)
-        return sx1280_valid(raw, round(answer.power_dbm))
+        return [sx1280_valid(raw, round(answer.power_dbm))]
 
 
 TAGS = 8
@@ -135,7 +132,7 @@ def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
     )
 
 
-class Trek1000(Emulator):
+class Trek1000(LineEmulator):
     """Anchor 0 of a kit and its tags, whole millimetres; raw reports beside the corrected."""
 
     name = "trek1000"
@@ -143,19 +140,17 @@ class Trek1000(Emulator):
     ids = range(TAGS)
     most = TAGS
 
-    def encode(self, asked: Round) -> bytes:
-        """Return both reports of each tag that answered."""
-        texts = []
-        for answer in asked.heard:
-            if answer.range_m is not None:
-                range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.sent_at_s)
-                number = self.next_number()
-                report = mc_report(max(0, range_mm), answer.emitter_id, number, clock_ms)
-                texts += [report.replace("mc", "mr", 1), report]
-        return lines(texts)
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return both reports of a tag that answered."""
+        if answer.range_m is None:
+            return []
+        range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.sent_at_s)
+        number = self.next_number()
+        report = mc_report(max(0, range_mm), answer.emitter_id, number, clock_ms)
+        return [report.replace("mc", "mr", 1), report]
 
 
-class ChannelSounding(Emulator):
+class ChannelSounding(LineEmulator):
     """Nordic's initiator, one reflector; two antenna paths."""
 
     name = "channel_sounding"
@@ -168,17 +163,16 @@ class ChannelSounding(Emulator):
         """Return the console of Zephyr."""
         return lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return a line for each antenna path."""
-        return lines(
-            [
-                f"I: Distance estimates on antenna path {path}: ifft: {answer.range_m:.6f}, "
-                f"phase_slope: {answer.range_m + 0.4:.6f}, rtt: {answer.range_m + 1.9:.6f}"
-                for answer in asked.heard
-                if answer.range_m is not None
-                for path in range(2)
-            ]
-        )
+        ifft_m = answer.range_m
+        if ifft_m is None:
+            return []
+        return [
+            f"I: Distance estimates on antenna path {path}: ifft: {ifft_m:.6f}, "
+            f"phase_slope: {ifft_m + 0.4:.6f}, rtt: {ifft_m + 1.9:.6f}"
+            for path in range(2)
+        ]
 
 
 class SilabsAoa(Emulator):
@@ -216,7 +210,7 @@ class SilabsAoa(Emulator):
         )
 
 
-class Bu01(Emulator):
+class Bu01(LineEmulator):
     """An Ai-Thinker BU01 in the tag's role: a line an anchor, whole centimetres."""
 
     name = "bu01"
@@ -228,37 +222,29 @@ class Bu01(Emulator):
         """Return nothing: ranging goes on already."""
         return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a line for each that answered."""
-        return lines(
-            [
-                f"an{answer.emitter_id}:{answer.range_m:.2f}m"
-                for answer in asked.heard
-                if answer.range_m is not None
-            ]
-        )
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+        """Return a line with the range; none without one."""
+        return [] if answer.range_m is None else [f"an{answer.emitter_id}:{answer.range_m:.2f}m"]
 
 
-class PozyxSketch(Emulator):
+class PozyxSketch(LineEmulator):
     """An Arduino with a Pozyx shield and the sketch `ready_to_range`."""
 
     name = "pozyx_sketch"
     title = "Pozyx, Arduino sketch ready_to_range"
     names = ""
     most = 1
+    prints_silence = True
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a line in any case."""
         clock_ms = self.device_ms(asked.sent_at_s) % U32
-        return lines([self._line(answer, clock_ms) for answer in asked.answers])
-
-    def _line(self, answer: Answer, clock_ms: int) -> str:
         if answer.range_m is None:
-            return "ERROR: ranging"
-        return f"{clock_ms}ms, {round(1e3 * answer.range_m)}mm, {round(answer.power_dbm)}dBm"
+            return ["ERROR: ranging"]
+        return [f"{clock_ms}ms, {round(1e3 * answer.range_m)}mm, {round(answer.power_dbm)}dBm"]
 
 
-class Lr11xx(Emulator):
+class Lr11xx(LineEmulator):
     """The manager of Semtech's ranging example: whole metres."""
 
     name = "lr11xx"
@@ -266,6 +252,7 @@ class Lr11xx(Emulator):
     names = ""
     rate_hz = 2.0
     most = 1
+    prints_silence = True
 
     def boot(self) -> bytes:
         """Return the banner with the example's role."""
@@ -273,14 +260,13 @@ class Lr11xx(Emulator):
             ["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="]
         )
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return a result, or that there was none."""
-        return lines([self._line(answer) for answer in asked.answers])
-
-    def _line(self, answer: Answer) -> str:
         if answer.range_m is None:
-            return "RTTOF request timeout"
-        return f"RTToF result: Distance: {round(answer.range_m)}m, RSSI: {round(answer.power_dbm)} "
+            return ["RTTOF request timeout"]
+        return [
+            f"RTToF result: Distance: {round(answer.range_m)}m, RSSI: {round(answer.power_dbm)} "
+        ]
 
 
 HISS_MAGNITUDE = 80
@@ -293,7 +279,7 @@ def c_sentence(azimuth_deg: float, magnitude: int, tone_peak: int, epoch_ms: int
     return f"C{tenths:04d}{magnitude:03d}{tone_peak:03d}{epoch_ms:015d}"
 
 
-class Kn5r(Emulator):
+class Kn5r(LineEmulator):
     """A sentence twenty times a second."""
 
     name = "doppler_kn5r"
@@ -305,11 +291,11 @@ class Kn5r(Emulator):
     rate_hz = 20.0
     most = 1
     epoch_s = SIMULATION_BEGAN_S
+    prints_silence = True
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a sentence in any case."""
-        epoch_ms = self.device_ms(asked.sent_at_s)
-        return lines([self._sentence(answer, epoch_ms) for answer in asked.answers])
+        return [self._sentence(answer, self.device_ms(asked.sent_at_s))]
 
     def _sentence(self, answer: Answer, epoch_ms: int) -> str:
         if answer.azimuth_rad is None:

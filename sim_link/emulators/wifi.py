@@ -16,6 +16,7 @@ from sim_link.emulators.emulator import (
     U32,
     Answer,
     Emulator,
+    LineEmulator,
     Round,
     clamped,
     lines,
@@ -60,13 +61,14 @@ def esp_session(valid: int, asked: int, rtt_ns: float, rssi_dbm: int) -> str:
     )
 
 
-class Esp32Ftm(Emulator):
+class Esp32Ftm(LineEmulator):
     """An ESP32-S2 or later with the station example of esp-idf, one responder after the other."""
 
     name = "esp32_ftm"
     title = "ESP32 Wi-Fi FTM, console of esp-idf"
     names = "{mac}"
     rate_hz = 2.0
+    prints_silence = True
 
     def boot(self) -> bytes:
         """Return boot loader messages, the first of them at another baud rate."""
@@ -81,15 +83,9 @@ class Esp32Ftm(Emulator):
             ]
         )
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a session with each."""
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return a session."""
         clock_ms = self.device_ms(asked.sent_at_s) % U32
-        texts: list[str] = []
-        for answer in asked.answers:
-            texts += self._session(answer, clock_ms)
-        return lines(texts)
-
-    def _session(self, answer: Answer, clock_ms: int) -> list[str]:
         mac = mac_of(answer.emitter_id)
         begin = [
             "Requesting FTM session with Frm Count - 32, Burst Period - 200mSec (0: No Preference)",
@@ -115,7 +111,7 @@ def arduino_estimate(range_m: float) -> str:
     return f"FTM Estimate: Distance: {cm / 100.0:.2f} m, Return Time: {rtt_ns} ns"
 
 
-class Esp32Arduino(Emulator):
+class Esp32Arduino(LineEmulator):
     """The Arduino example, whose output has neither names nor a clock."""
 
     name = "esp32_arduino"
@@ -123,17 +119,15 @@ class Esp32Arduino(Emulator):
     names = ""
     rate_hz = 2.0
     most = 1
+    prints_silence = True
 
     def boot(self) -> bytes:
         """Return boot loader and connection messages."""
         return lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
 
-    def encode(self, asked: Round) -> bytes:
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return a line in any case."""
-        ranges_m = [answer.range_m for answer in asked.answers]
-        return lines(
-            ["FTM Error: FAIL" if each is None else arduino_estimate(each) for each in ranges_m]
-        )
+        return ["FTM Error: FAIL" if answer.range_m is None else arduino_estimate(answer.range_m)]
 
 
 def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
@@ -144,22 +138,20 @@ def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) 
     return row + "".join(f"{rtt_ps},{rssi},0,0,0,0," for rtt_ps, rssi in frames)
 
 
-class FtmCsv(Emulator):
+class FtmCsv(LineEmulator):
     """GTEC's tag firmware: a row for each anchor that answered, nothing for others."""
 
     name = "ftm_csv"
     title = "ESP32 Wi-Fi FTM, rows of GTEC's esp32s2-ftm-tag"
     rate_hz = 2.0
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a row for each."""
-        rows = []
-        for answer in asked.heard:
-            if answer.range_m is not None:
-                rtt_ps = max(0, round(1e12 * round_trip_s(answer.range_m)))
-                frames = [(rtt_ps, round(answer.power_dbm))] * 4
-                rows.append(gtec_row(answer.emitter_id, answer.range_m, frames))
-        return lines(rows)
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+        """Return a row with the range; none without one."""
+        if answer.range_m is None:
+            return []
+        rtt_ps = max(0, round(1e12 * round_trip_s(answer.range_m)))
+        frames = [(rtt_ps, round(answer.power_dbm))] * 4
+        return [gtec_row(answer.emitter_id, answer.range_m, frames)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +244,7 @@ class RttRow:
         return f"{self.epoch_ms},1,{self.ssid},{self.bssid},{ranged},{answered}"
 
 
-class AndroidRtt(Emulator):
+class AndroidRtt(LineEmulator):
     """A telephone that asks access points, eight frames each."""
 
     name = "android_rtt"
@@ -261,15 +253,15 @@ class AndroidRtt(Emulator):
     rate_hz = 5.0
     epoch_s = SIMULATION_BEGAN_S
     ATTEMPTED = 8
+    prints_silence = True
 
     def boot(self) -> bytes:
         """Return the header."""
         return lines([ANDROID_HEADER])
 
-    def encode(self, asked: Round) -> bytes:
-        """Return a row for each, answered or not."""
-        epoch_ms = self.device_ms(asked.sent_at_s)
-        return lines([self._row(answer, epoch_ms).text for answer in asked.answers])
+    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+        """Return a row, answered or not."""
+        return [self._row(answer, self.device_ms(asked.sent_at_s)).text]
 
     def _row(self, answer: Answer, epoch_ms: int) -> RttRow:
         mac, heard = mac_of(answer.emitter_id), answer.heard
