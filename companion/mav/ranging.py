@@ -1,4 +1,4 @@
-"""RADIO_RANGING from a measurement, and TARGET_ESTIMATE in a TUNNEL past an autopilot.
+"""RADIO_RANGING from a measurement; TARGET_ESTIMATE in a TUNNEL past an autopilot, and out of it.
 
 `companion.link.ranging_sources` is the inverse for a ranging. Conversion to degrees, NED and the
 sentinels (NaN, UINT8_MAX) happens here.
@@ -80,3 +80,16 @@ def tunnelled(estimate: MAVLink_target_estimate_message) -> Message:
     payload = estimate.unpacker.pack(*fields)
     data = list(payload.ljust(TUNNEL_LENGTH, b"\0"))
     return mavlink.MAVLink_tunnel_message(0, 0, estimate.id, CORE_LENGTH, data)
+
+
+def estimate_in(message: Message) -> MAVLink_target_estimate_message | None:
+    """Return the TARGET_ESTIMATE that a message is or, as a TUNNEL, contains; None otherwise."""
+    if isinstance(message, MAVLink_target_estimate_message):
+        return message
+    if not isinstance(message, mavlink.MAVLink_tunnel_message):
+        return None
+    kind = MAVLink_target_estimate_message
+    if message.payload_type != kind.id or message.payload_length < CORE_LENGTH:
+        return None
+    values = kind.unpacker.unpack(bytes(message.payload[: kind.unpacker.size]))
+    return kind(**dict(zip(kind.ordered_fieldnames, values, strict=True)))

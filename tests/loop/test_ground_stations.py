@@ -15,12 +15,12 @@ from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from companion.mav.endpoint import Chunk
+from companion.mav.ranging import estimate_in
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
 from sim_link.lab.lockstep.observer import frames_in
 from tests.loop.loop_helpers import AUTO, of_system, run_until, said
-from tests.target_estimates import estimate_in
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 STATION = (255, 190)

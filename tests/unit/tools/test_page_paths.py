@@ -14,6 +14,7 @@ FOLDERS = "companion|sim_link|tests|tools|configs|docs"
 PATH = re.compile(rf"(?<![\w./-])(?:{FOLDERS})/[\w./*{{}},-]*")
 FILE = re.compile(r"(?<![\w./*-])[A-Za-z][\w-]*(?:/[\w-]+)*\.(?:py|sh|toml)\b")
 MODULE = re.compile(r"(?<![\w./-])(?:companion|sim_link)(?:\.[A-Za-z_]\w*)+")
+IMPORT = re.compile(r"^from ((?:companion|sim_link)(?:\.\w+)+) import ([\w, ]+)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 CONDITION = re.compile(r"\bcompanion\.\w+")
 """What a mission waits for is called like a module."""
@@ -68,6 +69,8 @@ def test_what_a_page_names_is_there(page: Path) -> None:
         text = CONDITION.sub("", text)
     paths = {match.rstrip(".,") for match in PATH.findall(text)} - NO_PATHS
     missing = [path for path in paths if not has_path(path)]
+    imported = {f"{module}.{n}" for module, ns in IMPORT.findall(text) for n in ns.split(", ")}
+    missing += [name for name in imported if not has_module(name)]
     missing += [name for name in set(FILE.findall(text)) - OF_OTHERS if not has_file(name)]
     missing += [name for name in set(MODULE.findall(text)) - OF_SETUP if not has_module(name)]
     missing += [link for link in LINK.findall(text) if not (page.parent / link.strip()).exists()]

@@ -17,8 +17,7 @@ from companion.mav.dialect import (
     Message,
     mavlink,
 )
-from companion.mav.ranging import message_from_ranging, tunnelled
-from tests.target_estimates import estimate_in
+from companion.mav.ranging import estimate_in, message_from_ranging, tunnelled
 
 
 def over_the_wire(message: Message) -> Message:
