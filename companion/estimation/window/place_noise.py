@@ -23,6 +23,7 @@ Conley, J. Econometrics 92 (1999), for variances of estimates under spatial erro
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -45,6 +46,33 @@ CELL_SHARE = 0.125
 """Length of a cell as a share of the correlation length, if that leaves few enough."""
 WHITE_COUNT = 4.0
 """Weight of the prior of the white noise, in measurements."""
+
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
+"""Points and weights of a mean over a standard normal, after Gauss and Hermite."""
+
+
+@functools.lru_cache(maxsize=64)
+def clipped_deviation(deviation: float, k_long: float, k_short: float) -> float:
+    """Return the standard deviation of a field of residuals, in sigma, in the influences.
+
+    A loss that clips residuals clips their field as well: under a normal field f and white noise e
+    it is the deviation of the expected influence E[psi(f + e) | f]. With L(x) = x Phi(x) + phi(x),
+    the mean of max(x - e, 0), that expectation is f + L(-k_short - f) - L(f - k_long).
+    """
+    field = deviation * _NODES
+    mean = field.copy()
+    if math.isfinite(k_short):
+        mean += [_mean_excess(x) for x in (-k_short - field).tolist()]
+    if math.isfinite(k_long):
+        mean -= [_mean_excess(x) for x in (field - k_long).tolist()]
+    return float(np.sqrt(np.cov(mean, ddof=0, aweights=_WEIGHTS)))
+
+
+def _mean_excess(x: float) -> float:
+    """Return the mean of max(x - e, 0) over a standard normal e."""
+    density = math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi)
+    return 0.5 * x * math.erfc(-x / math.sqrt(2.0)) + density
 
 
 @dataclass(frozen=True, slots=True)

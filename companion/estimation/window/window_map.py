@@ -68,7 +68,12 @@ from companion.estimation.window.map_kernels import (
     without_values,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
+from companion.estimation.window.place_noise import (
+    SpatialNoise,
+    SpatialPrior,
+    clipped_deviation,
+    fit_spatial_noise,
+)
 from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, log_ratio_of
 from companion.estimation.window.sandwich import (
     Scores,
@@ -187,7 +192,9 @@ class WindowMap:
             if ratio == 0.0 and scores.correlations[m] == 0.0:
                 continue
             psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
-            deviation = ratio / math.hypot(1.0, ratio) or float(np.sqrt(np.nanmean(psi**2)))
+            deviation = clipped_deviation(ratio, *self._thresholds[m].tolist())
+            if ratio == 0.0:
+                deviation = float(np.sqrt(np.nanmean(psi**2)))
             length_m = p.range_length_m if m == RANGE else p.place_length_m
             spatial_prior = SpatialPrior(deviation, length_m, is_of_radio=ratio > 0.0)
             H, slope = scores.part(m), scores.slopes[m]

@@ -8,7 +8,13 @@ import pytest
 from companion.config.schema import load_config
 from companion.domain import EstimateState
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.place_noise import SpatialPrior, cells_of, fit_spatial_noise
+from companion.estimation.window.map_kernels import clipped
+from companion.estimation.window.place_noise import (
+    SpatialPrior,
+    cells_of,
+    clipped_deviation,
+    fit_spatial_noise,
+)
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
@@ -46,6 +52,23 @@ def test_votes_are_those_of_the_field_that_was_drawn(length_m: float) -> None:
     found = [repetition(psi - psi.mean(), unknown) for psi in drawn]
     expected = 2.0 * length_m / 0.5
     assert 0.7 * expected < float(np.median(found)) < 4.0 * expected
+
+
+@pytest.mark.parametrize(("k_long", "k_short"), [(0.5, 0.5), (0.3, 3.0), (1.0, np.inf)])
+@pytest.mark.parametrize("deviation", [0.4, 1.4, 4.0])
+def test_a_field_is_clipped_as_the_loss_clips_it(
+    deviation: float, k_long: float, k_short: float
+) -> None:
+    """Two measurements of one place have the field in common, and each its own noise."""
+    rng = np.random.default_rng(3)
+    residuals = deviation * rng.normal(size=200_000) + rng.normal(size=(2, 200_000))
+    one, other = clipped(residuals, np.array([[k_long, k_short]] * 2))
+    found = float(np.cov(one, other)[0, 1]) ** 0.5
+    assert clipped_deviation(deviation, k_long, k_short) == pytest.approx(found, rel=0.03)
+
+
+def test_without_clipping_a_field_is_as_it_is() -> None:
+    assert clipped_deviation(1.4, np.inf, np.inf) == pytest.approx(1.4)
 
 
 def test_a_short_walk_leaves_what_is_known_of_the_radio() -> None:
