@@ -298,8 +298,7 @@ def with_kept_offsets(config: CompanionConfig) -> CompanionConfig:
     radios = []
     for radio in config.radios:
         kept = offsets.get(radio_key(radio.name, radio.url or "")) if offsets else None
-        is_set = "range_offset_m" in radio.settings or "offset_steps" in radio.options
-        if kept is not None and not is_set:
+        if kept is not None and not radio.has_range_offset:
             settings = {**radio.settings, "range_offset_m": kept.range_offset_m}
             radio = msgspec.structs.replace(radio, settings=settings)
         radios.append(radio)

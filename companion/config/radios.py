@@ -30,6 +30,11 @@ class RadioConfig(Params, frozen=True):
     options: dict[str, Any] = msgspec.field(default_factory=dict)
     """Options of its format; keys of the decoder's own record."""
 
+    @property
+    def has_range_offset(self) -> bool:
+        """True if the constant of its ranges is set, be it to 0."""
+        return "range_offset_m" in self.settings or "offset_steps" in self.options
+
     def __post_init__(self) -> None:
         record_within(self.settings, RadioSettings, "settings")
 
@@ -69,8 +74,7 @@ def is_uncalibrated(radio: RadioConfig) -> bool:
         needs_offset = radio_kind(radio.name).needs_offset
     except ConfigError:
         return False
-    is_set = "range_offset_m" in radio.settings or "offset_steps" in radio.options
-    return needs_offset and not is_set
+    return needs_offset and not radio.has_range_offset
 
 
 def parse_radio_option(text: str, configured: RadioConfig | None = None) -> RadioConfig:

@@ -343,9 +343,7 @@ def _inspect(radio: RadioConfig, duration_s: float) -> RadioFacts:
     except CompanionError as error:
         return RadioFacts(radio.name, url, str(error))
     uncalibrated = []
-    if "range" in setup.kind.gives and not (
-        "range_offset_m" in radio.settings or "offset_steps" in radio.options
-    ):
+    if "range" in setup.kind.gives and not radio.has_range_offset:
         uncalibrated.append("ranges")
     gives_bearing = "bearing" in setup.kind.gives or "azimuth" in setup.kind.gives
     if gives_bearing and not {"bearing_sign", "bearing_mount_deg"} & radio.settings.keys():

@@ -156,7 +156,7 @@ def calibrate(run: CalibrationRun) -> Calibration:
         blocked = ranged & is_placed & is_blocked
         _fit_ranges(ranges, RangeSamples(times[blocked], values[blocked]), track, done)
     _compare_reported(fitted, done)
-    _check_vehicle_position(track, ranges, bearings, done)
+    _check_vehicle_position(track, bearings, done)
     if not done.ranges and not done.bearings:
         done.range_refusals.append("nothing was measured where the vehicle's place is known")
     elif not (done.has_ranges or done.has_bearings or done.refusals):
@@ -398,9 +398,7 @@ def _compare_reported(fitted: Sequence[RangingMeasurement], done: Calibration) -
         done.bearing_ratio = float(np.median(bearings)) / done.bearing_fit.sigma_rad.value
 
 
-def _check_vehicle_position(
-    track: PoseTrack, ranges: RangeSamples, bearings: BearingSamples, done: Calibration
-) -> None:
+def _check_vehicle_position(track: PoseTrack, bearings: BearingSamples, done: Calibration) -> None:
     """Check that the vehicle's position is three times as accurate as the radio."""
     own = track.sigma_m
     if own is None:
@@ -411,7 +409,6 @@ def _check_vehicle_position(
             f"the vehicle's place is good to {own:.2f} m, and has to be to a third of the sigma "
             f"found, {done.range_fit.sigma_m.value:.2f} m: needs RTK"
         )
-    del ranges
     if done.bearing_fit is not None:
         distance = float(np.median(track.seen(bearings.times_s).distance_m))
         sigma = done.bearing_fit.sigma_rad.value
