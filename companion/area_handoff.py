@@ -12,7 +12,7 @@ import json
 import math
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from io import BytesIO
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -22,7 +22,7 @@ import numpy as np
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
-from companion.handoff import NAMESPACE, utc_text
+from companion.handoff import DECIMALS, NAMESPACE, add_text, feature, utc_text, xml_text
 from companion.search.detection_model import DetectionModel
 from companion.search.outlines import gaps_of, outlines
 from companion.search.search_grid import SearchGrid
@@ -33,7 +33,6 @@ RECORD, GEOJSON, KML = "searched_area.json", "searched_area.geojson", "searched_
 PNG, GPX, TEXT = "searched_area.png", "searched_area.gpx", "searched_area.txt"
 GEOTIFF = "searched_area.tif"
 LEVELS = (0.5, 0.8, 0.95)
-DECIMALS = 7
 
 
 def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, bytes]:
@@ -115,7 +114,7 @@ def geojson_of(
                 "ended": utc_text(flight.ended_unix_s),
                 "listened_s": flight.listened_s,
             }
-            features.append(_feature("LineString", line, about))
+            features.append(feature("LineString", line, about))
     collection: dict[str, object] = {"type": "FeatureCollection", "features": features}
     return json.dumps(collection, indent=1) + "\n"
 
@@ -125,11 +124,12 @@ def _areas(state: SearchState, origin: LocalOrigin) -> Iterator[dict[str, object
     for level in LEVELS:
         about: dict[str, object] = {"kind": "pod", "pod_at_least": level}
         about["share_of_area"] = round(state.share_at(level), 4)
-        yield _polygons(grid_shapes(state, level, origin), about)
+        yield feature("MultiPolygon", grid_shapes(state, level, origin), about)
     for gap in gaps_of(state):
         shapes = [_shape(o.outside_enu_m, o.holes_enu_m, origin) for o in outlines(grid, gap.cells)]
         about = {"kind": "gap", "name": gap.name, "poa": round(gap.poa, 4)}
-        yield _polygons(shapes, about | {"share_of_area": round(gap.share_of_area, 4)})
+        about["share_of_area"] = round(gap.share_of_area, 4)
+        yield feature("MultiPolygon", shapes, about)
 
 
 def grid_shapes(state: SearchState, level: float, origin: LocalOrigin) -> list[Any]:
@@ -154,15 +154,6 @@ def _lon_lat(place: Point, origin: LocalOrigin) -> Point:
 
 def _wrapped(longitude_deg: float) -> float:
     return (longitude_deg + 180.0) % 360.0 - 180.0
-
-
-def _polygons(shapes: list[Any], about: Mapping[str, object]) -> dict[str, object]:
-    return _feature("MultiPolygon", shapes, about)
-
-
-def _feature(kind: str, coordinates: list[Any], about: Mapping[str, object]) -> dict[str, object]:
-    geometry = {"type": kind, "coordinates": coordinates}
-    return {"type": "Feature", "geometry": geometry, "properties": dict(about)}
 
 
 LEAST_PIXELS = 400
@@ -207,11 +198,11 @@ def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> s
     """Return a document with the map laid on the ground and the track."""
     root = ET.Element("kml", xmlns=NAMESPACE)
     document = ET.SubElement(root, "Document")
-    _text(document, "name", "Searched area")
-    _text(document, "description", statement(flight, state))
+    add_text(document, "name", "Searched area")
+    add_text(document, "description", statement(flight, state))
     overlay = ET.SubElement(document, "GroundOverlay")
-    _text(overlay, "name", "Probability of detection")
-    _text(ET.SubElement(overlay, "Icon"), "href", PNG)
+    add_text(overlay, "name", "Probability of detection")
+    add_text(ET.SubElement(overlay, "Icon"), "href", PNG)
     west, south, east, north = _box_deg(state.grid, origin)
     box = ET.SubElement(overlay, "LatLonBox")
     for name, value in (
@@ -220,14 +211,13 @@ def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> s
         ("east", _wrapped(east)),
         ("west", _wrapped(west)),
     ):
-        _text(box, name, f"{value:.7f}")
+        add_text(box, name, f"{value:.7f}")
     placemark = ET.SubElement(document, "Placemark")
-    _text(placemark, "name", "Track")
+    add_text(placemark, "name", "Track")
     line = ET.SubElement(placemark, "LineString")
     places = " ".join(f"{lon:.7f},{lat:.7f}" for lon, lat, _ in _track(flight))
-    _text(line, "coordinates", places)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    add_text(line, "coordinates", places)
+    return xml_text(root)
 
 
 def _box_deg(grid: SearchGrid, origin: LocalOrigin) -> tuple[float, float, float, float]:
@@ -273,20 +263,15 @@ GEOGRAPHIC, PIXEL_IS_AREA, EPSG_4326 = (1024, 0, 1, 2), (1025, 0, 1, 1), (2048, 
 """GTModelType, GTRasterType and GeodeticCRS: key, location, count and value."""
 
 
-def _text(parent: ET.Element, tag: str, text: str) -> None:
-    ET.SubElement(parent, tag).text = text
-
-
 def gpx_of(flight: SearchedFlight) -> str:
     """Return the track as GPX 1.1, with times."""
     root = ET.Element(
         "gpx", xmlns="http://www.topografix.com/GPX/1/1", version="1.1", creator="companion"
     )
     track = ET.SubElement(root, "trk")
-    _text(track, "name", f"Search {utc_text(flight.began_unix_s)}")
+    add_text(track, "name", f"Search {utc_text(flight.began_unix_s)}")
     segment = ET.SubElement(track, "trkseg")
     for longitude, latitude, t_s in _track(flight):
         point = ET.SubElement(segment, "trkpt", lat=f"{latitude:.7f}", lon=f"{longitude:.7f}")
-        _text(point, "time", utc_text(flight.began_unix_s + t_s))
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+        add_text(point, "time", utc_text(flight.began_unix_s + t_s))
+    return xml_text(root)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -142,7 +142,7 @@ DECIMALS = 7
 
 def geojson(handoffs: Iterable[Handoff]) -> str:
     """Return a feature collection with up to three features per emitter."""
-    features = [feature for handoff in handoffs for feature in _features(handoff)]
+    features = [each for handoff in handoffs for each in _features(handoff)]
     return json.dumps({"type": "FeatureCollection", "features": features}, indent=2) + "\n"
 
 
@@ -169,13 +169,14 @@ def _features(handoff: Handoff) -> list[dict[str, object]]:
     if handoff.alternative_deg is not None:
         shapes.append(("alternative", "Point", _position(handoff.alternative_deg)))
     return [
-        {
-            "type": "Feature",
-            "geometry": {"type": shape, "coordinates": coordinates},
-            "properties": {**about, "kind": kind},
-        }
-        for kind, shape, coordinates in shapes
+        feature(shape, coordinates, {**about, "kind": kind}) for kind, shape, coordinates in shapes
     ]
+
+
+def feature(kind: str, coordinates: list[Any], about: Mapping[str, object]) -> dict[str, object]:
+    """Return one feature of GeoJSON."""
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": dict(about)}
 
 
 def _position(point: Degrees) -> list[float]:
@@ -193,14 +194,13 @@ def kml(handoffs: Iterable[Handoff]) -> str:
     """Return a document with a placemark per position and one per ellipse."""
     root = ET.Element("kml", xmlns=NAMESPACE)
     document = ET.SubElement(root, "Document")
-    _add_text(document, "name", "Emitters")
+    add_text(document, "name", "Emitters")
     style = ET.SubElement(document, "Style", id="ellipse")
-    _add_text(ET.SubElement(style, "LineStyle"), "color", ELLIPSE_LINE)
-    _add_text(ET.SubElement(style, "PolyStyle"), "color", ELLIPSE_FILL)
+    add_text(ET.SubElement(style, "LineStyle"), "color", ELLIPSE_LINE)
+    add_text(ET.SubElement(style, "PolyStyle"), "color", ELLIPSE_FILL)
     for handoff in handoffs:
         _add_placemarks(document, handoff)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    return xml_text(root)
 
 
 def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
@@ -210,25 +210,32 @@ def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
 
     def placemark(suffix: str) -> ET.Element:
         element = ET.SubElement(document, "Placemark")
-        _add_text(element, "name", f"emitter {printable(handoff.emitter)}{suffix}")
-        _add_text(element, "description", about)
+        add_text(element, "name", f"emitter {printable(handoff.emitter)}{suffix}")
+        add_text(element, "description", about)
         return element
 
     points = {"": handoff.place_deg, ", second place": handoff.alternative_deg}
     for suffix, place in points.items():
         if place is not None:
             point = ET.SubElement(placemark(suffix), "Point")
-            _add_text(point, "coordinates", _coordinates(place))
+            add_text(point, "coordinates", _coordinates(place))
     ellipse = placemark(", 95 %")
-    _add_text(ellipse, "styleUrl", "#ellipse")
+    add_text(ellipse, "styleUrl", "#ellipse")
     boundary = ET.SubElement(ET.SubElement(ellipse, "Polygon"), "outerBoundaryIs")
     ring = (*handoff.ellipse_deg, handoff.ellipse_deg[0])
     text = " ".join(map(_coordinates, ring))
-    _add_text(ET.SubElement(boundary, "LinearRing"), "coordinates", text)
+    add_text(ET.SubElement(boundary, "LinearRing"), "coordinates", text)
 
 
-def _add_text(parent: ET.Element, tag: str, text: str) -> None:
+def add_text(parent: ET.Element, tag: str, text: str) -> None:
+    """Add an element that contains a text."""
     ET.SubElement(parent, tag).text = text
+
+
+def xml_text(root: ET.Element) -> str:
+    """Return a document with indented lines."""
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def _coordinates(place: Degrees) -> str:

@@ -45,9 +45,7 @@ def outlines(grid: SearchGrid, wanted: Bools) -> list[Outline]:
 
 def _is_around(outside: Corners, hole: Corners, grid: SearchGrid, outsides: list[Corners]) -> bool:
     """Return True if this outside is the smallest one around a hole."""
-    east, north = min(
-        hole
-    )  # a westernmost corner, the southern one: its cell to the west is wanted
+    east, north = min(hole)  # westernmost, then southernmost: the cell west of it is wanted
     inside = (east - 0.5 * grid.cell_m, north + 0.5 * grid.cell_m)
     around = [each for each in outsides if contains(each, inside)]
     return min(around, key=lambda each: abs(signed_area_m2(each))) is outside
