@@ -274,13 +274,10 @@ def _check_identity(facts: AutopilotFacts) -> CheckResult:
         return fail("autopilot", text, "only PX4 and ArduPilot modes are understood")
     refusal = vehicle_refusal(facts.vehicle_class, facts.autopilot)
     if refusal is not None:
-        return fail("autopilot", f"{text}: {refusal}", _class_fix(facts))
+        parameter = "FRAME_CLASS" if facts.autopilot is Autopilot.ARDUPILOT else "MAV_TYPE"
+        fix = f"fly it by hand; if it is a multicopter, set {parameter}"
+        return fail("autopilot", f"{text}: {refusal}", fix)
     return ok("autopilot", text)
-
-
-def _class_fix(facts: AutopilotFacts) -> str:
-    parameter = "FRAME_CLASS" if facts.autopilot is Autopilot.ARDUPILOT else "MAV_TYPE"
-    return f"fly it by hand; if it is a multicopter, set {parameter}"
 
 
 def _check_other_systems(

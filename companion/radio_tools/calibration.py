@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import msgspec
 import numpy as np
 
 from companion.arguments import FieldTestName
@@ -186,7 +187,10 @@ def _bearing_samples(
     by_body = [m for m in fitted if m.bearing_body_rad is not None]
     if len(by_north) > len(by_body):
         done.is_by_north = True
-        level = [replace_attitude(pose) for pose in run.poses]
+        level = [
+            msgspec.structs.replace(pose, yaw_rad=0.0, roll_rad=0.0, pitch_rad=0.0)
+            for pose in run.poses
+        ]  # of a vehicle that looks north
         times = np.array([m.measured_at_s for m in by_north])
         said = np.array([0.5 * math.pi - (m.bearing_enu_rad or 0.0) for m in by_north])
         return BearingSamples(times, said), PoseTrack(level, run.point_enu_m)
@@ -198,11 +202,6 @@ def _bearing_samples(
     known = track.knows(times, with_yaw=True)
     is_array = bool(by_body) and sum(m.is_array_angle for m in by_body) * 2 > len(by_body)
     return BearingSamples(times[known], said[known], is_array), track
-
-
-def replace_attitude(pose: TimedPose) -> TimedPose:
-    """Return the pose of a level vehicle that looks north."""
-    return TimedPose(pose.t_s, pose.enu_m, 0.0, 0.0, 0.0, pose.sigma_m)
 
 
 def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Figure | None:

@@ -131,14 +131,13 @@ class Gap:
 
 def gaps_of(state: SearchState) -> list[Gap]:
     """Return the gaps that are worth a word, that with the greatest chance first."""
-    found = [_gap(state, cells) for cells in pieces_of(state.grid, state.pod < GAP_POD)]
+    grid = state.grid
+    found = [
+        Gap(place_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)
+        for cells in pieces_of(grid, state.pod < GAP_POD)
+    ]
     worthy = [gap for gap in found if gap.poa >= LEAST_GAP_SHARE]
     return sorted(worthy, key=lambda gap: -gap.poa)[:MOST_GAPS]
-
-
-def _gap(state: SearchState, cells: Bools) -> Gap:
-    name = place_name(state.grid, cells)
-    return Gap(name, float(cells.mean()), float(state.grid.poa[cells].sum()), cells)
 
 
 def pieces_of(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:

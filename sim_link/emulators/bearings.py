@@ -296,16 +296,14 @@ class KrakenSocket(Kraken):
         """Return all channels, new or not."""
         for answer in asked.heard:
             if answer.azimuth_rad is not None:
-                self._spectra[frequency_hz(answer.emitter_id)] = self._spectrum(answer)
+                theta_deg = -math.degrees(answer.azimuth_rad) % 360.0
+                spectrum = spectrum_of(theta_deg, answer.quality, self._rng)
+                self._spectra[frequency_hz(answer.emitter_id)] = spectrum
         channels = b"".join(map(self._channel, self._spectra.items()))
         count = len(self._spectra)
         directions = struct.pack("<2I", TYPE_DIRECTIONS, count) + channels
         band = frame(BINARY, band_message(CENTRE_HZ))
         return band + (frame(BINARY, directions) if count else b"")
-
-    def _spectrum(self, answer: Answer) -> Spectrum:
-        theta_deg = -math.degrees(answer.azimuth_rad or 0.0) % 360.0
-        return spectrum_of(theta_deg, answer.quality, self._rng)
 
     def _channel(self, item: tuple[int, Spectrum]) -> bytes:
         hz, spectrum = item

@@ -275,7 +275,9 @@ class Flight:
                 continue
             self._notify("vehicle_sent", chunk.data, Lane.TO_COMPANION)
             self.post(chunk.data, Lane.TO_COMPANION)
-        self._hear_neighbours()
+        for neighbour in self.neighbours:
+            for chunk in neighbour.take_output():
+                self.attack(Chunk(0, chunk.data, neighbour.peer))
         if not self.is_companion_up:
             return
         for chunk in self.companion.take_output():
@@ -285,11 +287,6 @@ class Flight:
                 self.post(chunk.data, Lane.TO_VEHICLE)
         if self.companion.is_finished:
             self._end_companion()
-
-    def _hear_neighbours(self) -> None:
-        for neighbour in self.neighbours:
-            for chunk in neighbour.take_output():
-                self.attack(Chunk(0, chunk.data, neighbour.peer))
 
     def _reach_neighbours(self, chunk: Chunk) -> None:
         """Deliver what the companion sends to another vehicle's address, or to all."""
