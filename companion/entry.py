@@ -109,8 +109,8 @@ def is_interrupt(error: BaseException | None) -> bool:
 def main() -> int:
     """Load the command and run it; the exit code is that of `companion.cli.main`.
 
-    Importing takes a fraction of a second; a Ctrl-C in it ends the process as the system does,
-    without a traceback. A SIGINT that the parent had ignored (nohup) stays ignored.
+    A Ctrl-C while the command is imported ends the process as the system does, without a
+    traceback. A SIGINT that the parent had ignored (nohup) stays ignored.
     """
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:
@@ -119,9 +119,8 @@ def main() -> int:
     kernel_cache.forgoes_compiler = True
     from companion.cli import main as run
 
-    signal.signal(signal.SIGINT, before)
     try:
-        code = run()
+        code = run(on_loaded=lambda: signal.signal(signal.SIGINT, before))
         sys.stdout.flush()
     except OutputLostError as error:
         sys.stderr.write(f"companion: standard output: {error.strerror}\n")

@@ -6,6 +6,10 @@ import re
 import shlex
 import sys
 
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOT_FOUND = 1, 2, 3
+"""Exit codes: a failed run, bad input or a link that does not open, a search that came to its end
+with nothing heard."""
+
 
 class CompanionError(Exception):
     """Base of every error that the project raises on purpose."""

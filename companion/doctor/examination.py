@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
+import json
 import os
 import sys
 import time
@@ -15,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from companion import kernel_cache
-from companion.config.schema import CompanionConfig
+from companion.config.schema import CompanionConfig, load_config, with_radios, with_signing_key
 from companion.doctor.autopilot_settings import check_fence, check_parameters
 from companion.doctor.findings import (
     AutopilotFacts,
@@ -26,6 +28,8 @@ from companion.doctor.findings import (
     LinkFacts,
     PlaceFacts,
     StreamRate,
+    as_json,
+    as_lines,
     fail,
     ok,
     warn,
@@ -33,14 +37,16 @@ from companion.doctor.findings import (
 from companion.doctor.probe import DoctorProbe, check_radios, inspect_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
+from companion.flight_setup import radio_links, with_kept_offsets
 from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
-from companion.io.links.transports import Transport
+from companion.io.links.transports import Transport, check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
 from companion.io.state.signing_keys import load_signing_key
 from companion.io.state.vehicle_lock import VehicleLock, state_directory
 from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
+from companion.link.interface import LinkRole
 from companion.link.outlet import COMPONENT_ID
 from companion.process.diagnostics import process_use
 from companion.process.watchdog import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
@@ -406,3 +412,21 @@ def inspect_link(
         if keeper is not None:
             keeper.close()
         lock.release()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Examine a vehicle, print what was found, and return the exit code."""
+    config = load_config(arguments.config)
+    if arguments.key is not None:
+        config = with_signing_key(config, arguments.key)
+    config = with_kept_offsets(with_radios(config, arguments.radios))
+    link = parse_flight_link(arguments.link, LinkRole.VEHICLE)
+    if not arguments.is_insecure:
+        has_key = config.link.signing_key_file is not None
+        check_exposure([link, *radio_links(config.radios)], has_key=has_key)
+    findings = run_doctor(config, link.transport, arguments.seconds)
+    if arguments.json:
+        print(json.dumps(as_json(findings), indent=2))
+    else:
+        print("\n".join(as_lines(findings)))
+    return exit_code(findings)

@@ -12,7 +12,9 @@ flight uses `page_environment` and includes `page.css`.
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -47,6 +49,7 @@ from companion.report.flight_summary import (
     summarize_events,
 )
 from companion.report.searched_area import report_of
+from companion.web.settings import check_tiles
 
 LEAST_M = 1e-3
 """A logarithmic axis has no zero."""
@@ -358,6 +361,18 @@ def write_report(
     path = found.path(REPORT) if output is None else output
     write_text_atomic(path, page)
     return path
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the report that the command line asks for, and print its path."""
+    if arguments.web_tiles is not None:
+        check_tiles(arguments.web_tiles)
+    print(write_report(arguments.flight, arguments.output, arguments.web_tiles, _warn))
+    return 0
+
+
+def _warn(text: str) -> None:
+    print(f"companion: {text}", file=sys.stderr)
 
 
 def is_quick(flight: Path) -> bool:

@@ -9,6 +9,7 @@ rebinding), and a WebSocket must come from a page of ours (cross-site WebSocket 
 
 from __future__ import annotations
 
+import argparse
 import hmac
 import ipaddress
 import secrets
@@ -157,6 +158,31 @@ def web_settings(
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(12)
     return WebSettings(host, token, is_control_on, is_view_open, int(port_text), tiles)
+
+
+def requested_settings(arguments: argparse.Namespace) -> WebSettings | None:
+    """Return the map's settings for a flight, for the demo, which has buttons, or for a replay."""
+    is_flight = arguments.command is None
+    web = arguments.fly_web if is_flight else arguments.web
+    tiles = arguments.fly_web_tiles if is_flight else arguments.web_tiles
+    if web is None:
+        options = {
+            "control": arguments.web_control,
+            "token": arguments.web_token,
+            "open": arguments.web_open,
+            "tiles": tiles,
+        }
+        given = [name for name, value in options.items() if value]
+        if given:
+            raise ConfigError(f"--web-{given[0]}: there is no map without --web PORT")
+        return None
+    return web_settings(
+        web,
+        token=arguments.web_token,
+        is_control_on=arguments.web_control or arguments.command == "demo",
+        is_view_open=arguments.web_open,
+        tiles=tiles,
+    )
 
 
 def check_tiles(folder: Path) -> None:

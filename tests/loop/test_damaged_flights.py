@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import main
 from companion.config.schema import CompanionConfig
-from companion.errors import ConfigError
+from companion.errors import EXIT_BAD_INPUT, ConfigError
 from companion.flight_setup import FlightFacts, build_endpoint, write_facts
 from companion.guidance.session_params import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, TLOG

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli import EXIT_BAD_INPUT, _set_up_logging, main
+from companion.cli import main
+from companion.errors import EXIT_BAD_INPUT
 from companion.guidance.commands import Severity
 from companion.io.logs.flight_recorder import BlackBox
+from companion.view.log_lines import set_up_logging
 
 OPEN = "udp:0.0.0.0:14999"
 
@@ -30,7 +32,7 @@ def key_file(folder: Path, mode: int = 0o600, text: str = "0123456789abcdef" * 4
 
 def test_quiet_shows_what_takes_a_warning_back(capsys: pytest.CaptureFixture[str]) -> None:
     """A service's journal that says a radio is silent must say, too, that it is heard again."""
-    _set_up_logging(quiet=True)
+    set_up_logging(quiet=True)
     said = [(Severity.WARNING, "silent"), (Severity.NOTICE, "heard"), (Severity.INFO, "searching")]
     for number, (severity, text) in enumerate(said):
         BlackBox().text(severity, text, float(number))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from companion import cli
+from companion import cli, flight_commands
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_session
 from companion.io.links.transports import Transport
@@ -36,7 +36,7 @@ def test_a_wrong_file_is_refused_in_lines_before_any_socket_opens(
     def no_socket(*_: object, **__: object) -> socket.socket:
         raise AssertionError("a socket was opened")
 
-    monkeypatch.setattr(cli, "fly", fly)
+    monkeypatch.setattr(flight_commands, "fly", fly)
     monkeypatch.setattr(socket, "socket", no_socket)
     refused, slowest_s = 0, 0.0
     for number, text in enumerate(mutants(seed=20261121, count=FILES)):

@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 import yaml
 
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import main
 from companion.config.schema import CompanionConfig, load_config
+from companion.errors import EXIT_BAD_INPUT
 
 ROOT = Path(__file__).parents[4]
 PRESETS = sorted([*ROOT.glob("configs/companion/**/*.yaml"), *ROOT.glob("configs/radios/*.yaml")])

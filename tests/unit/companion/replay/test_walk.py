@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import main
 from companion.config.schema import load_config
-from companion.errors import ConfigError
+from companion.errors import EXIT_BAD_INPUT, ConfigError
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.replay.walk_replay import TargetResult, read_walk, replay_walk

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from companion.arguments import argument_parser
-from companion.cli import EXIT_BAD_INPUT, EXIT_FAILED, main
+from companion.cli import main
 from companion.config.schema import load_config
-from companion.errors import LinkError
+from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED, LinkError
 from companion.setup_tools.setup_commands import run
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -233,7 +233,7 @@ def test_remove_keeps_what_somebody_changed(
 
 
 def test_a_flight_loads_nothing_of_it() -> None:
-    code = "import sys, companion.cli; print(*sys.modules)"
+    code = "import sys, companion.cli; companion.cli._fly(); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.startswith("companion.")}
     assert "companion.arguments" in loaded

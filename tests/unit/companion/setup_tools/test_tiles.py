@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli import EXIT_BAD_INPUT, main
+from companion.cli import main
+from companion.errors import EXIT_BAD_INPUT
 from companion.setup_tools import tile_commands
 from companion.setup_tools.tile_commands import wanted_tiles
 from companion.web.settings import tile

@@ -9,14 +9,14 @@ import time
 
 import pytest
 
-from companion.view import console
-from companion.view.console import ConsoleHandler
+from companion.view import log_lines
+from companion.view.log_lines import ConsoleHandler
 
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """For a writer that a busy machine keeps waiting."""
-    monkeypatch.setattr(console, "CLOSE_TIMEOUT_S", 30.0)
+    monkeypatch.setattr(log_lines, "CLOSE_TIMEOUT_S", 30.0)
 
 
 def logger_with(handler: logging.Handler) -> logging.Logger:
@@ -36,8 +36,8 @@ def test_lines_arrive_in_order() -> None:
 
 
 def test_a_pipe_that_nobody_reads_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "MAX_QUEUED", 10)
-    monkeypatch.setattr(console, "CLOSE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(log_lines, "MAX_QUEUED", 10)
+    monkeypatch.setattr(log_lines, "CLOSE_TIMEOUT_S", 0.05)
     reader, writer = os.pipe()
     with os.fdopen(writer, "w") as stream:
         handler = ConsoleHandler(stream)
@@ -55,7 +55,7 @@ def test_a_pipe_that_nobody_reads_holds_up_nobody(monkeypatch: pytest.MonkeyPatc
 
 
 def test_lost_lines_are_told_with_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(console, "MAX_QUEUED", 2)
+    monkeypatch.setattr(log_lines, "MAX_QUEUED", 2)
     stream = io.StringIO()
     handler = ConsoleHandler(stream)
     logger = logger_with(handler)
