@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tools.compare_estimators import main, score_of
+from tools.compare_estimators import main, parts_of, ratio_text, score_of
 from tools.study.walks.rival_estimators import RIVALS, Batch
 from tools.study.walks.walk_figures import preset_of, targets_of
 
@@ -72,6 +72,23 @@ def test_the_command_prints_a_row_for_each_estimator(
     assert all(f"| {name} |" in printed for name in ("tracker", *RIVALS))
     assert picture.stat().st_size > 1000
     assert figures.read_text(encoding="utf-8").count('"energy_m"') == 1 + len(RIVALS)
+
+
+def test_a_ratio_of_few_targets_has_a_wide_interval() -> None:
+    errors = np.abs(np.random.default_rng(2).normal(size=200)).tolist()
+    radii = [1.96] * 200
+    assert ratio_text([0.5] * 9, [1.0] * 9) == "2.00 (2.0 to 2.0)"
+    many, few = ratio_text(errors, radii), ratio_text(errors[:6], radii[:6])
+    low, high = (float(word.strip("()")) for word in many.split()[1::2])
+    assert low < 1.0 < high < 1.3
+    assert float(few.split()[-1].strip(")")) > 1.5 * high
+
+
+def test_parts_of_a_walk_are_disjoint_and_complete(tmp_path: Path) -> None:
+    (rows,) = targets_of(walk(tmp_path / "uwb_clean.csv"), 0.05)
+    parts = parts_of(rows, 3)
+    assert [len(part) for part in parts] == [27, 27, 26]
+    assert sorted(r.measurement.measured_at_s for part in parts for r in part) == list(range(80))
 
 
 def test_a_folder_without_walks_is_refused_in_one_line(
