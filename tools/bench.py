@@ -23,8 +23,6 @@ from tools.benches.planner_bench import (
     StepCost,
     bench_planners,
 )
-from tools.benches.searched_area_bench import LIMIT_MB, AreaCost, searched_area_cost
-from tools.benches.searched_area_bench import LIMIT_MS as AREA_LIMIT_MS
 from tools.benches.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
 from tools.console import OneLineParser, positive
 
@@ -40,12 +38,6 @@ def main() -> int:
             costs = tick_costs(arguments)
             if arguments.json is not None:
                 write_json_atomic(arguments.json, costs)
-            return 0
-        if arguments.command == "searched_area":
-            cost = searched_area_cost(arguments.seconds)
-            print(area_line(cost))
-            if arguments.json is not None:
-                write_json_atomic(arguments.json, cost)
             return 0
         if arguments.command == "filters":
             bench = bench_filters(arguments.rounds)
@@ -76,9 +68,6 @@ def parsed() -> argparse.Namespace:
         command = commands.add_parser(name, help=text)
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
         command.add_argument("--rounds", type=positive, default=rounds, help="medians over so many")
-    area = commands.add_parser("searched_area", help="an update of a searched area of 4 km^2")
-    area.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
-    area.add_argument("--seconds", type=positive, default=600, help="of searching")
     tick = commands.add_parser("tick", help="the control tick, and the longest wait of a setpoint")
     tick.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     tick.add_argument("--seconds", type=positive, default=60, help="of flight in each case")
@@ -110,16 +99,6 @@ def tick_costs(arguments: argparse.Namespace) -> list[TickCost]:
 def tick_figures(cost: TickCost) -> str:
     """Return the three figures of a case."""
     return f"{cost.tick_worst_ms:7.2f}{cost.tick_p99_ms:7.2f}{cost.stretch_worst_ms:8.2f}"
-
-
-def area_line(cost: AreaCost) -> str:
-    """Return the cost of a searched area with its limits."""
-    verdict = "met" if cost.is_met else "NOT MET"
-    return (
-        f"{cost.cells} cells: update {cost.update_ms:.2f} ms, 99 % {cost.update_p99_ms:.2f} ms; "
-        f"renewal {cost.renewal_ms:.2f} ms; {cost.memory_mb:.1f} MB; "
-        f"limit {AREA_LIMIT_MS:g} ms, {LIMIT_MB:g} MB: {verdict}"
-    )
 
 
 def filter_table(bench: FilterBench) -> str:

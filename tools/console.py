@@ -105,7 +105,7 @@ class Lines:
         self._begun_s = self._said_s = clock()
 
     def done(self, share: float) -> None:
-        """Add a share of finished work."""
+        """Add finished work to the progress line."""
         self._done += share
         now_s = self._clock()
         if now_s - self._said_s < LINE_EVERY_S:

@@ -23,7 +23,7 @@ class Gone:
     advice: str = ""
     """The advice to an operator whose file sets the key; empty: the value is fixed."""
     default: object = None
-    """The former default: a copy of default.yaml may have it, and changes nothing by it."""
+    """Former default; a file that sets it is read, and the key is ignored."""
 
 
 _SETTINGS_OF = {

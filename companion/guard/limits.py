@@ -25,7 +25,7 @@ from companion.geometry.polygons import Corners, Point, check_polygon, deepest_p
 
 LEAST_FENCE_M2 = 1.0
 LEAST_KEEP_OUT_M2 = 1e-3
-"""A mast is a keep-out too."""
+"""Least area of a keep-out: that of a mast is valid."""
 
 
 @dataclass(frozen=True, slots=True)

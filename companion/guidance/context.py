@@ -1,7 +1,7 @@
 """State shared by the parts of a session: vehicle, estimate, phase, and collected commands.
 
-The context alone writes its attributes. The other parts read them, and report events by a method;
-only a component, such as the vehicle view or the guard, is updated directly.
+Only the context writes its attributes. The other parts read them, and report events by a method;
+components, such as the vehicle view or the guard, are updated directly.
 
 Errors of the estimator and the planner end neither the process nor the control tick: the vehicle
 holds. Three within ten seconds are not an accident, and the vehicle is handed back. The guard is

@@ -31,7 +31,7 @@ from companion.io.files import write_bytes_atomic
 T = TypeVar("T")
 
 MAX_BATCH = 1024
-"""Limit of a batch: a second of the busiest autopilot link, 405 frames, fits."""
+"""Limit of a batch; a second of the busiest autopilot link has 405 frames."""
 CLOSE_TIMEOUT_S = 1.0
 
 

@@ -76,7 +76,7 @@ LATE_S = 0.05
 STALL_S = 0.2
 """A timer later than this finds links that hold the past."""
 CATCH_UP_S = 0.1
-"""Wall seconds that the links may take to hand over what they hold after a stall."""
+"""Limit of wall-clock seconds for reading the links' backlog after a stall."""
 MIN_TIMER_S = 0.001
 """An endpoint whose next time is always past must not take the whole processor."""
 MAX_TIMER_S = 3600.0

@@ -123,7 +123,7 @@ class SequenceMonitor:
 
 
 CALM_SHARE = 0.5
-"""Share of the lossy limit below which a line counts as good again."""
+"""Share of the loss limit below which a line counts as good again."""
 CALM_S = 5.0
 """Time for which a line must be good before the rate goes down again."""
 STALL_S = 0.5

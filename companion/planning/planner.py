@@ -29,7 +29,7 @@ class PlanRequest:
     vehicle_enu_m: Point
     estimate: TargetEstimate | None = None
     fence_enu_m: Polygon | None = None
-    """Waypoints and the straight legs to them stay inside this polygon, by `fence_margin_m`."""
+    """Polygon that waypoints and the straight legs to them keep inside of, by `fence_margin_m`."""
     fence_margin_m: float = 0.0
     """Distance to keep from the fence and from every keep-out."""
     baseline_m: float = 0.0

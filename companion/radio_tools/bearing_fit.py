@@ -91,7 +91,7 @@ class BearingSense:
 
 @dataclass(frozen=True, slots=True)
 class BearingFit:
-    """Result of fitting bearings."""
+    """Mount, lag and noise of the bearings that fit a calibration run best."""
 
     sense: BearingSense
     mount_rad: Figure

@@ -45,7 +45,7 @@ BUILT_IN: Mapping[str, str] = {
     "srsran": "companion.radios.cellular:SRSRAN",
     "oai": "companion.radios.cellular:OAI",
 }
-"""The radio's name to `module:ATTRIBUTE` of its `RadioKind`, or of a table of them by name."""
+"""Where each radio's `RadioKind`, or a table of kinds by name, is defined: `module:ATTRIBUTE`."""
 
 
 def known_radios() -> dict[str, str]:

@@ -91,7 +91,7 @@ def _bracketed(text: str) -> list[tuple[str, str]] | None:
 
 
 STATUS_BYTES = 3
-"""0x40, 1, and an error that is none if 0."""
+"""Length of a reply's status: type 0x40, length 1, and the error code, 0 for success."""
 ERRORS = {
     1: "unknown command",
     2: "internal error",

@@ -158,7 +158,7 @@ class FlightRecording:
     is_course_whole: bool = True
     """True if the recorded course is complete."""
     damage: tuple[str, ...] = ()
-    """Unreadable parts, a line for each file."""
+    """Description of the unreadable parts, a line for each file."""
 
 
 def is_mcap(path: Path) -> bool:

@@ -323,7 +323,7 @@ def explanation(results: list[TargetResult]) -> str:
 
 
 def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
-    """Yield why a target is still searched, and that a position accuracy was assumed."""
+    """Yield remarks on targets that are not localised, and on an assumed position accuracy."""
     estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
     open_m = {
         name: estimate.settled_r95_m

@@ -36,7 +36,7 @@ from companion.search.search_grid import Bools, Floats, SearchGrid
 from companion.search.searched_area import GROUP_SIGMAS, GROUPS, SearchedArea, Square
 
 MOST_CELLS = 2500
-"""A forecast has no more cells: 50 by 50, each far smaller than what a leg changes."""
+"""Limit of cells of a forecast: 50 by 50, each far smaller than the area that a leg changes."""
 UPFADE_DB = 10.0
 """Rayleigh fading exceeds its median by so much in 0.1 % of all answers."""
 LEVELS_DB = np.arange(-80.0, 81.0)

@@ -31,7 +31,7 @@ LOOK_S = 0.25
 LEAST_S = 1.0
 """Between two events of an emitter."""
 AGAIN_S = STALE_AFTER_S / 10.0
-"""An event is repeated after this long, changed or not."""
+"""Time after which an unchanged event is sent again."""
 CHANGE_SHARE = 0.2
 """A move by this share of R95, or a change of R95 by it, makes an event due."""
 MAX_PORT = 65_535

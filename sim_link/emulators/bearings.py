@@ -29,7 +29,7 @@ FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
 MOST_CONFIDENCE = 99.0
 STATION = "S1"
 RING = tuple(f"{0.5 + 0.5 * math.cos(math.radians(degree)):.2f}" for degree in range(360))
-"""Direction pattern of a source at 0 degrees, printed."""
+"""Power of a source at 0 degrees by direction, in degrees, as the receiver prints it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,7 +88,7 @@ class Srsran(Emulator):
     epoch_s = SIMULATION_BEGAN_S
 
     def encode(self, asked: Round) -> bytes:
-        """Return a report with all phones; 0.0: not observed."""
+        """Return a report with all phones; a timing advance of 0.0 was not observed."""
         ues = [self._ue(number, answer) for number, answer in enumerate(asked.answers)]
         cell = {"cell_metrics": {"pci": 1}, "ue_list": ues}
         report = {"timestamp": round(self.device_s(asked.sent_at_s), 3), "cells": [cell]}

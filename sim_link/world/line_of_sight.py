@@ -50,7 +50,7 @@ class Surroundings(NamedTuple):
     corners: Matrix
     """(c, 3) places that a way may turn at, and the length of the way from there, metres."""
     lets_out: Flags
-    """(k,) walls of the obstacles that the emitter is inside of."""
+    """(k,) True for walls of obstacles that contain the emitter, which do not block it."""
 
 
 @kernel

@@ -93,7 +93,7 @@ class Part:
     base_cost_s: float = 0.0
     """Time in s that every trial takes beside that, whatever its size."""
     split: Callable[[float], tuple[int, float]] = lambda amount: (round(amount), 1.0)
-    """So much of the part as a number of trials and the size of each."""
+    """Return the number of trials for an amount of the part, and the size of each trial."""
 
     def trials(self, amount: float, seed: int) -> list[Trial]:
         """Return the trials of a part, each with a seed of its own."""

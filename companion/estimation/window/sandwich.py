@@ -78,7 +78,7 @@ class Scores:
     u: Matrix
     """(m, n) whitened residuals of the model's modalities."""
     psi: Matrix
-    """(m, n) their influences."""
+    """(m, n) influence of each residual: the derivative of its loss."""
     H: Matrix
     """(m n, k) whitened partials, zero rows where nothing was measured."""
     is_measured: Matrix

@@ -112,7 +112,7 @@ class Fencing:
 
     @property
     def missing(self) -> list[str]:
-        """Inputs that are still missing, in words."""
+        """Return the names of inputs that are still missing."""
         parts = {
             "the autopilot's fence": self._is_read and not self.is_doubted,
             "the origin": self._has_origin,

@@ -101,7 +101,7 @@ class Searching:
 
     @property
     def is_worth_reporting(self) -> bool:
-        """True if there was a search."""
+        """True if it searched long enough for a report."""
         return self.listened_s >= WORTH_REPORTING_S
 
     @property

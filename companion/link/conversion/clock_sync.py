@@ -349,7 +349,7 @@ class ClockSync:
         return has_restarted
 
     def restart(self) -> None:
-        """Start again after a restart of the autopilot."""
+        """Discard the estimate of the clock after a restart of the autopilot."""
         self._newest, self._has_restarted = None, False
         self._open.clear()
         self._round_trips.clear()

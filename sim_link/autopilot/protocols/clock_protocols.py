@@ -1,4 +1,4 @@
-"""TIMESYNC and PING: what clocks say to each other.
+"""TIMESYNC and PING: exchange of clock readings.
 
 Source: MAVLink developer guide, "Time Synchronization" and "Ping Protocol"; PX4 1.15 and
 ArduCopter 4.5 as observed.

@@ -249,7 +249,7 @@ class RequestRules(CompanionProbe):
         require(self.companion[0] == self.system_id, "it changed its system")
 
     def _accept_as_another_system(self, command: CommandMessage) -> int | None:
-        """Acknowledge from another system; the vehicle itself stays silent."""
+        """Answer with an acknowledgement of another system; the vehicle stays silent."""
         self.send_as(mav.Ack(command.command, mav.ACCEPTED, 0, 0, 0, 0), 77, 1)
         return None
 

@@ -194,7 +194,7 @@ class Injector(Observer):
                 self._flight.at(start_s, partial(self._attack, fault, began_s + fault.end_s, 0.0))
 
     def vehicle_sent(self, frame: Frame) -> None:
-        """Let the attacker hear a frame of the vehicle."""
+        """Pass a frame of the vehicle on to the attacker, who may record it."""
         self._attacker.overhear(frame.data)
 
     def _happen(self, fault: VehicleFault | faults.ProcessFault) -> None:

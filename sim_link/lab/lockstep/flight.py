@@ -298,7 +298,7 @@ class Flight:
                 neighbour.sim.receive(Chunk(0, chunk.data, None), self.now_s)
 
     def bring_other(self, setup: OtherVehicle, end_s: float) -> None:
-        """Let another vehicle be heard from now on, until its end."""
+        """Add another vehicle to the link, from now until its configured end."""
         host, port = FIRST_OTHER_PEER
         peer = (host, port + len(self.neighbours)) if setup.has_own_address else VEHICLE_PEER
         neighbour = Neighbour(setup, self.scenario, peer, self.now_s)

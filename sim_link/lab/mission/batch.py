@@ -41,7 +41,7 @@ class FlightTask:
     file: str
     seed: int
     reports: Path | None
-    """The folder of the reports; None: none are wanted."""
+    """Folder of the reports; None: no reports are written."""
     speed: float | None = None
     """Times real time, with real processes; None: lockstep."""
     connect: str | None = None
@@ -165,7 +165,7 @@ def with_autopilot(mission: Mission, flavour: FlavourName) -> Mission:
 
 
 def check_flyable(mission: Mission, name: str) -> None:
-    """Build everything that a flight is made of, and throw it away; `ConfigError`: that fails."""
+    """Raise `ConfigError` if the flight of a script cannot be built."""
     try:
         SimEndpoint(mission.scenario, 0)
         build_endpoint(flown_config(mission), MemoryJournal())

@@ -39,7 +39,7 @@ class TakeOffAction:
 
 
 Action = Request | TakeOffAction | FlightMode
-"""A flight mode is to be switched to."""
+"""Request of the operator at the start of a step; a flight mode is one to switch to."""
 
 
 class MissionOperator(Protocol):

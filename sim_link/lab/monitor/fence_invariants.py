@@ -228,7 +228,7 @@ class InsideFence(SetpointsInside):
         return self.is_excused or self._truth.now_s - self._given_s < CONTROL_FADES_S
 
     def _watch_fences(self) -> None:
-        """Note whether fence or control came too late; over once it can stop inside."""
+        """Excuse a vehicle that got fence or control too late to stop inside, until it can."""
         scene, body = self._truth, self._truth.vehicle.body
         before, self._fences = self._fences, len(scene.flown_fences)
         if before != self._fences:
