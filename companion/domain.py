@@ -407,7 +407,7 @@ class LandedState(Enum):
 
 
 class BatteryLevel(IntEnum):
-    """Class of a charge, the worse the greater."""
+    """Level of the battery; a greater number is worse."""
 
     UNKNOWN = 0
     """Not full: unknown."""

@@ -184,7 +184,7 @@ class Reserve:
     """
 
     reserve_pct: float
-    """Charge that is kept for landing."""
+    """Charge that is kept for landing, per cent."""
     cost_pct_per_km: float
     """Charge for a kilometre of the way home, into the wind."""
 

@@ -66,7 +66,7 @@ class SearchParams(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class SearchMemory:
-    """Progress of a search."""
+    """Progress of a search: legs of its pattern, sweeps, and the leg being flown."""
 
     track: Track
     datum_enu_m: Point

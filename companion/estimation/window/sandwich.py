@@ -62,7 +62,7 @@ PRIOR_COUNT = 4.0
 MAX_RESIDUAL = 10.0
 """Limit of residuals, in sigma, where the loss does not clip them."""
 MAX_CORRELATION = 0.98
-"""Upper limit of a lag-1 correlation: a repetition of 99."""
+"""Upper limit of a lag-1 correlation: 99 measurements count as one."""
 SIGNIFICANT_SIGMAS = 2.0
 """Standard errors from which a correlation is significant: white residuals exceed it once in 44."""
 MIN_CORRELATED = 12

@@ -242,7 +242,7 @@ class VehicleView:
         return math.hypot(*self.frame.zero_of(origin))
 
     def move_frame(self, origin: LocalOrigin, shift_enu_m: PositionEnu | None) -> None:
-        """Turn every local position into the frame of a new origin, which moves them by a shift.
+        """Transform every local position into the frame of a new origin, by a shift.
 
         Without a shift the new frame is far away: all positions but home are dropped, and home as
         well if it is too far away for a height above it.

@@ -276,7 +276,7 @@ class StickWatch(Watch):
         return self._rated is not None and not self._rated.is_healthy
 
     def _note_rating(self, event: events.RcStatusReported) -> None:
-        """Drop the pulses of a lost transmitter; when it is back, its sticks rest anywhere."""
+        """Drop the pulses of a lost transmitter; learn its rest position again when it is back."""
         was_lost, self._rated = self._is_lost, event
         if self._is_lost:
             self._latest = self._moved_s = self._seen_moved_s = None

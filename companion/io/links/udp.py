@@ -90,7 +90,7 @@ def _ask_for_stamps(sock: socket.socket) -> bool:
 MAX_DATAGRAM = 65_535
 _ROOM_FOR_STAMP = socket.CMSG_SPACE(_STAMP.size)
 RECEIVE_BUFFER = 1 << 20
-"""Bytes that the kernel may keep for us, so that a burst is not lost between two looks."""
+"""Socket receive buffer in bytes, so that a burst is not lost between two reads."""
 GONE = frozenset(
     {
         errno.EADDRNOTAVAIL,

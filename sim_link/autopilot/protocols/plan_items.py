@@ -19,7 +19,7 @@ DEGREE = 1e7
 LOCAL_METRE = 1e4
 INT32_MIN, INT32_MAX = -(2**31), 2**31 - 1
 NO_VALUE = INT32_MAX
-"""Stands for NaN in an integer coordinate."""
+"""Unknown integer coordinate, as NaN is for floats."""
 AMSL_FRAMES = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
 RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 GLOBAL_FRAMES = AMSL_FRAMES + RELATIVE_FRAMES

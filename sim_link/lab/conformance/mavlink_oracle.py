@@ -108,7 +108,7 @@ class FrameSpec:
     trim: bool = True
     """True if trailing zeros of the payload are cut (MAVLink 2 only)."""
     crc_change: int = 0
-    """Exclusive-or of the CRC with this."""
+    """Mask that spoils the CRC, by exclusive or."""
 
 
 def crc_x25(data: bytes) -> int:

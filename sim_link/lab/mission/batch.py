@@ -45,7 +45,7 @@ class FlightTask:
     speed: float | None = None
     """Times real time, with real processes; None: lockstep."""
     connect: str | None = None
-    """The link to a vehicle that is there already."""
+    """Link to a vehicle that runs already."""
 
     @property
     def misfit(self) -> str:

@@ -210,7 +210,7 @@ class Followed:
         return abs(frame.time_s - stamp_s - self.clock_s) <= SAME_CLOCK_S
 
     def is_restart(self, frame: Frame) -> bool:
-        """Return True if a frame may be of the followed vehicle after a restart."""
+        """Return True if a frame may come from the followed vehicle after a restart."""
         stamp_s, _ = _sign_of(frame)
         return stamp_s is not None and stamp_s <= frame.time_s - self.stamped_s + YOUNG_S
 
