@@ -45,7 +45,7 @@ BUILT_IN: Mapping[str, str] = {
     "srsran": "companion.radios.cellular:SRSRAN",
     "oai": "companion.radios.cellular:OAI",
 }
-"""Where each radio's `RadioKind`, or a table of kinds by name, is defined: `module:ATTRIBUTE`."""
+"""Radio's name to `module:ATTRIBUTE` of its `RadioKind`, or of a table of kinds by name."""
 
 
 def known_radios() -> dict[str, str]:
