@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import (
-    POWER_LENGTH_M,
-    POWER_PLACE_SIGMA_DB,
-    POWER_SIGMA_DB,
     FilterParams,
     FilterState,
     Inflation,
@@ -41,7 +38,6 @@ from companion.estimation.window.map_kernels import (
     row_vector,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.place_noise import CELL_SHARE, cells_of
 from companion.estimation.window.rivals import Optimum, weigh_optima
 from companion.estimation.window.sandwich import (
     Observability,
@@ -49,6 +45,7 @@ from companion.estimation.window.sandwich import (
     mirrored,
     observability_of,
 )
+from companion.estimation.window.shadows import shadow_weights
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,
     SharedErrors,
@@ -134,28 +131,6 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
         gaps = sequence[kept[2:]] - sequence[kept[:-2]]
         kept = np.delete(kept, 1 + int(np.argmin(gaps)))
     return kept[:count]
-
-
-def shadow_weights(rows: Matrix) -> Vector:
-    """Return the weight of each row's power, (n,), that the shadows it shares with others leave.
-
-    N measurements of one place have the information of one with the variance of the shadow plus
-    that of fading over N, so that each has the weight (f^2 + s^2) / (f^2 + N s^2); N counts every
-    other measurement as far as its shadow is correlated.
-    """
-    has_power = ~np.isnan(rows[:, POWER_VALUE])
-    weights = np.ones(len(rows))
-    if not has_power.any():
-        return weights
-    places = rows[has_power, :2]
-    cell, ways_m = cells_of(places, CELL_SHARE * POWER_LENGTH_M)
-    count = np.bincount(cell, minlength=len(ways_m)).astype(float)
-    centres = np.stack([np.bincount(cell, axis, len(ways_m)) for axis in places.T]) / count
-    apart_m = np.hypot(*(centres[:, :, None] - centres[:, None, :]))
-    neighbours = np.exp(-apart_m / POWER_LENGTH_M) @ count
-    fading2, shadow2 = POWER_SIGMA_DB**2, POWER_PLACE_SIGMA_DB**2
-    weights[has_power] = ((fading2 + shadow2) / (fading2 + shadow2 * neighbours))[cell]
-    return weights
 
 
 MAX_STARTS_KEPT = 4

@@ -111,8 +111,12 @@ class SpatialNoise:
 
         Rows that were not measured are zero.
         """
-        sums = self.sums(weights)
-        total: Matrix = sums.T @ self.field @ sums + self.white * (weights.T @ weights)
+        return self.covariance(weights, weights)
+
+    def covariance(self, one: Matrix, other: Matrix) -> Matrix:
+        """Return the covariance (m, k) of sums with the weights `one` (n, m) and `other` (n, k)."""
+        sums, others = self.sums(one), self.sums(other)
+        total: Matrix = sums.T @ self.field @ others + self.white * (one.T @ other)
         return total
 
     @property

@@ -31,6 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.estimation.filters.target_filter import Inflation
+from companion.estimation.measurement_model import POWER
 from companion.estimation.window.sandwich import (
     ALL_WHITE,
     CRITICAL_RATIO,
@@ -140,7 +141,9 @@ def contrast_of(
             found = float(np.sum((away * best.scored[m]) ** 2))
         else:
             share, degrees = 1.0 / field.repetition, field.degrees
-            found = share**2 * float(field.variance(away[:, None])[0, 0])
+            roots = best.root_weights
+            entering = away if m != POWER or roots is None else roots * away
+            found = share**2 * float(field.variance(entering[:, None])[0, 0])
             of_own += share**2 * float(np.sum(field.sums(turned[m]) ** 2))
         mean += share * half_square
         variance += found

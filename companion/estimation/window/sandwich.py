@@ -141,6 +141,16 @@ class Scores:
         rows: Matrix = self.H[modality * n : (modality + 1) * n]
         return rows
 
+    def entering(self, modality: int) -> Matrix:
+        """Return the derivatives of the score by one modality's influences, (n, k).
+
+        They are its partials, with their weights as a whole, where `part` has the roots.
+        """
+        part = self.part(modality)
+        if modality != POWER or self.root_weights is None:
+            return part
+        return np.asarray(self.root_weights[:, None] * part)
+
     def moment(self, modality: int, parameters: int) -> float:
         """Return the pooled second moment of the influence, limited below near thermal noise."""
         n = self.counts[modality]
@@ -157,14 +167,12 @@ class Scores:
     def quantile_ratio(self, modality: int) -> float:
         """Return the ratio of the 95 % interval to the normal one: slope and moment are estimates.
 
-        It is Student's t with the degrees of freedom that match the variance of the estimated ratio
-        moment / slope^2 (Satterthwaite), over the normal quantile (Cornish-Fisher).
+        Its degrees of freedom match the variance of the estimated ratio moment / slope^2
+        (Satterthwaite).
         """
         n, slope = self.counts[modality], self.slopes[modality]
         variance = (1.0 + 4.0 * (1.0 - slope) / slope) / (n + PRIOR_COUNT)
-        dof = max(2.0 / variance, 2.0)
-        z2 = 1.96**2
-        return 1.0 + (z2 + 1.0) / (4.0 * dof) + (5.0 * z2**2 + 16.0 * z2 + 3.0) / (96.0 * dof**2)
+        return student_ratio(2.0 / variance)
 
     def finite_sample_ratio(self, modality: int, parameters: float) -> float:
         """Return Huber's K: a fit makes residuals look more quadratic than they are.
@@ -218,6 +226,15 @@ class Scores:
         return np.asarray((1.0 + rho) / (1.0 - rho))
 
 
+def student_ratio(degrees: float) -> float:
+    """Return the 97.5 % quantile of Student's t over the normal one (Cornish-Fisher).
+
+    Below two degrees of freedom it is that of two.
+    """
+    dof, z2 = max(degrees, 2.0), 1.96**2
+    return 1.0 + (z2 + 1.0) / (4.0 * dof) + (5.0 * z2**2 + 16.0 * z2 + 3.0) / (96.0 * dof**2)
+
+
 def thermal_moment(k_long: float, k_short: float) -> float:
     """Return E[psi^2] of a standard normal residual, clipped at the two thresholds."""
     return sum(
@@ -267,7 +284,7 @@ def spatial_variability(scores: Scores, spatial_noise: SpatialNoises, A_inverse:
         H, share = scores.part(m), 1.0 / field.repetition
         leverage = share * scores.slopes[m] * float(np.sum((H @ A_inverse) * H))
         spread = scores.quantile_ratio(m) * scores.finite_sample_ratio(m, min(leverage, k))
-        B += (share * spread) ** 2 * field.variance(H)
+        B += (share * spread) ** 2 * field.variance(scores.entering(m))
     return B
 
 

@@ -88,6 +88,7 @@ from companion.estimation.window.sandwich import (
     stretch_covariance,
     thermal_moment,
 )
+from companion.estimation.window.shadows import shadow_noise
 from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
@@ -186,7 +187,8 @@ class WindowMap:
         scores = self.scores(rows, mean)
         for m in scores.measured:
             if m == POWER:
-                continue  # its shadows are in the weights
+                found[m] = shadow_noise(rows, scores, self.prior_with(rows, None)[0])
+                continue
             sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
             ratio = p.place_sigmas[min(m, BEARING)] / sigma
             if ratio == 0.0 and scores.correlations[m] == 0.0:
@@ -471,7 +473,8 @@ class WindowMap:
         variabilities = []
         if not is_all_white(self.spatial_noise):
             variabilities.append(spatial_variability(scores, self.spatial_noise, A_inverse) + fixed)
-        if not (self._has_spatial_errors and variabilities):
+        is_known = self._has_spatial_errors or scores.measured == [POWER]
+        if not (is_known and variabilities):
             counted = repetition * np.square(shares)
             variabilities.append(pooled_variability(scores, A_inverse, counted) + fixed)
             if not is_white or (repetition > 1.0).any():

@@ -21,7 +21,7 @@ from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.map_kernels import row_vector
-from companion.estimation.window.optimizer import shadow_weights
+from companion.estimation.window.shadows import shadow_weights
 
 PARAMS = FilterParams(power_at_1m_dbm=-40.0, target_height_sigma_m=2.0)
 TRUTH = (60.0, 30.0)
