@@ -1,9 +1,10 @@
-"""Conditions of missions: `estimate.r95_m < 1 and vehicle.mode == hold`.
+"""The language of conditions: `estimate.r95_m < 1 and vehicle.mode == hold`.
 
-A field is compared with a number, a word or another field; comparisons are joined by `and` and `or`
-(`and` first) and turned round by `not`. What is not known is neither true nor false (Kleene's
-logic): `and` with something false is false, `or` with something true is true, everything else with
-an unknown is unknown, and an unknown condition does not hold.
+Theory of operation. Python's own parser reads the text into a tree, so precedence, chained
+comparisons and parentheses are Python's; nothing is ever evaluated by Python. The
+tree is translated, once and with types, into closures over a `FlightSituation`. What is not known
+is neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
+true is true, everything else with an unknown is unknown, and an unknown condition does not hold.
 
 A `FlightSituation` is what is known of a flight at a moment; what is not known (yet) is None. The
 runner in memory and the one of real processes fill in the same one, so that a script means the same
@@ -12,10 +13,11 @@ in both. What is said of its fields is what documentation and errors say of them
 
 from __future__ import annotations
 
+import ast
 import difflib
-import math
 import operator
-import re
+import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
@@ -136,27 +138,23 @@ FIELDS: dict[str, FieldInfo] = dict(_infos())
 Value = float | bool | str | None
 Getter = Callable[[FlightSituation], Value]
 
-COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
+COMPARISONS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
 }
-EQUALITIES = ("==", "!=")
+EQUALITIES = (ast.Eq, ast.NotEq)
+ARITHMETIC: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+}
 TRUTHS = {"true": True, "false": False}
 SPEAKERS = {"said": "companion_texts", "autopilot_said": "autopilot_texts"}
 MAX_LENGTH = 1000
-OUTSIDE_QUOTES = r'(?=(?:[^"]*"[^"]*")*[^"]*$)'
-OR, AND = (re.compile(rf"\s{word}\s{OUTSIDE_QUOTES}") for word in ("or", "and"))
-CLAUSE = re.compile(
-    r"(?P<negation>not\s+)?(?:"
-    r'(?P<speaker>said|autopilot_said)\(\s*"(?P<text>[^"]*)"\s*\)'
-    r"|(?P<field>[a-z][a-z0-9_.]*)"
-    r'(?:\s*(?P<symbol>[<>]=?|[=!]=)\s*(?P<value>"[^"]*"|[-+.\w]+))?)',
-    re.ASCII,
-)
 
 
 class ConditionError(ValueError):
@@ -168,114 +166,207 @@ class Condition:
     """A condition that is ready to be asked."""
 
     text: str
-    _alternatives: tuple[tuple[Getter, ...], ...]
-    """The clauses of each alternative, which hold together."""
+    _get: Getter
 
     def holds(self, situation: FlightSituation) -> bool:
         """Return True if the condition holds now; an unknown value does not hold."""
-        return self._truth(situation) is True
+        return self._get(situation) is True
 
     def is_false(self, situation: FlightSituation) -> bool:
         """Return True if the condition is known not to hold."""
-        return self._truth(situation) is False
-
-    def _truth(self, situation: FlightSituation) -> Value:
-        return _combined(
-            (
-                _combined((get(situation) for get in clauses), False)
-                for clauses in self._alternatives
-            ),
-            True,
-        )
+        return self._get(situation) is False
 
 
-def _combined(values: Iterable[Value], decisive: bool) -> Value:
-    """Return the decisive value if it is among the values; unknown if one of the others is."""
-    found = set(values)
-    if decisive in found:
-        return decisive
-    return None if None in found else not decisive
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A piece of the condition: its type, and how to get at its value."""
+
+    kind: Kind
+    get: Getter
+    node: ast.expr
+    words: tuple[str, ...] = ()
+    """Possible values of a field that is a word."""
+    word: str | None = None
+    """The word itself, where it is none of the fields."""
 
 
 def parse_condition(text: str) -> Condition:
     """Return the condition of a text; raises a `ConditionError` if it is invalid."""
     if len(text) > MAX_LENGTH:
         raise ConditionError(f"longer than {MAX_LENGTH} characters")
-    alternatives = [AND.split(alternative) for alternative in OR.split(text)]
-    return Condition(text.strip(), tuple(tuple(map(_clause, each)) for each in alternatives))
-
-
-def _clause(text: str) -> Getter:
-    match = CLAUSE.fullmatch(text.strip())
-    if match is None:
-        raise ConditionError(f"`{text.strip()}` is no comparison, as `vehicle.height_m > 3` is")
-    if match["speaker"]:
-        part, texts_of = match["text"], operator.attrgetter(SPEAKERS[match["speaker"]])
-        get: Getter = lambda situation: any(part in said for said in texts_of(situation))  # noqa: E731
-    else:
-        get = _comparison(text.strip(), match)
-    if not match["negation"]:
-        return get
-    return lambda situation: None if (value := get(situation)) is None else not value
-
-
-def _comparison(text: str, match: re.Match[str]) -> Getter:
-    """Return whether a field compares as stated; unknown where a value is."""
-    info, left = _field(match["field"]), operator.attrgetter(match["field"])
-    if match["symbol"] is None:
-        if info.kind is not Kind.TRUTH:
-            raise ConditionError(
-                f"`{match['field']}` is {info.kind.value}; compare it with something"
-            )
-        get: Getter = left
-        return get
-    kind, right = _right_side(match["value"], info)
-    if kind is not info.kind:
-        raise ConditionError(f"`{text}` compares {info.kind.value} with {kind.value}")
-    if kind is not Kind.NUMBER and match["symbol"] not in EQUALITIES:
-        raise ConditionError(
-            f"`{text}`: {kind.value} has no order; use == or != in place of {match['symbol']}"
-        )
-    compare = COMPARISONS[match["symbol"]]
-
-    def compared(situation: FlightSituation) -> Value:
-        values = (left(situation), right(situation))
-        return None if None in values else compare(*values)
-
-    return compared
-
-
-def _right_side(text: str, compared_with: FieldInfo) -> tuple[Kind, Getter]:
-    """Return kind and value of what a field is compared with: another field, or a constant."""
-    if text in FIELDS:
-        return FIELDS[text].kind, operator.attrgetter(text)
-    if text in TRUTHS:
-        return Kind.TRUTH, lambda _: TRUTHS[text]
     try:
-        number = float(text)
-    except ValueError:
-        pass
-    else:
-        if not math.isfinite(number):
-            raise ConditionError(f"`{text}` is no finite number")
-        return Kind.NUMBER, lambda _: number
-    word = text.strip('"')
-    if compared_with.words and word not in compared_with.words:
-        words = ", ".join(compared_with.words)
-        raise ConditionError(f"it is never `{word}`; it is one of {words}")
-    if not compared_with.words:
-        _field(word)
-    return Kind.WORD, lambda _: word
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the parser's remarks about style are not for people
+            tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        column = getattr(error, "offset", None) or 1
+        raise ConditionError(f"`{text}`: not a condition (column {column})") from None
+    try:
+        part = _truth_of(tree.body)
+    except RecursionError:
+        raise ConditionError("nested too deeply") from None
+    return Condition(text.strip(), part.get)
 
 
-def _field(name: str) -> FieldInfo:
-    if name not in FIELDS:
-        hint = did_you_mean(name, FIELDS, 0.4) or f"; known are {', '.join(FIELDS)}"
-        raise ConditionError(f"`{name}` is not known here{hint}")
-    return FIELDS[name]
+def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
+    """Return the function of the parts' values; unknown where one of them is."""
+    getters = tuple(part.get for part in parts)
+
+    def get(situation: FlightSituation) -> Value:
+        values: list[Any] = [getter(situation) for getter in getters]
+        return None if None in values else function(*values)
+
+    return get
+
+
+def _truth_of(node: ast.expr) -> _Part:
+    """Return a part that is true or false; `ConditionError`: it is something else."""
+    return _part_of_kind(node, Kind.TRUTH, "compare it with something")
+
+
+def _part(node: ast.expr) -> _Part:
+    match node:
+        case ast.BoolOp():
+            return _logic(node)
+        case ast.UnaryOp(op=ast.Not()):
+            return _Part(Kind.TRUTH, _lifted(operator.not_, _truth_of(node.operand)), node)
+        case ast.UnaryOp(op=ast.USub()):
+            return _Part(Kind.NUMBER, _lifted(operator.neg, _number_of(node.operand)), node)
+        case ast.Compare():
+            return _comparison(node)
+        case ast.BinOp():
+            if type(node.op) not in ARITHMETIC:
+                raise _problem(node, "calculates with something else than + - *")
+            combine = ARITHMETIC[type(node.op)]
+            return _Part(
+                Kind.NUMBER, _lifted(combine, _number_of(node.left), _number_of(node.right)), node
+            )
+        case ast.Constant():
+            return _constant(node)
+        case ast.Name() | ast.Attribute():
+            return _named(node)
+        case ast.Call():
+            return _call(node)
+    raise _problem(node, "is not part of the language of conditions")
+
+
+def _logic(node: ast.BoolOp) -> _Part:
+    getters = [_truth_of(value).get for value in node.values]
+    decisive = isinstance(node.op, ast.Or)
+
+    def get(situation: FlightSituation) -> Value:
+        is_unknown = False
+        for getter in getters:
+            value = getter(situation)
+            if value is decisive:
+                return decisive
+            is_unknown = is_unknown or value is None
+        return None if is_unknown else not decisive
+
+    return _Part(Kind.TRUTH, get, node)
+
+
+def _comparison(node: ast.Compare) -> _Part:
+    parts = [_part(each) for each in (node.left, *node.comparators)]
+    triples = zip(parts, node.ops, parts[1:], strict=False)
+    getters = [_one_comparison(left, op, right, node) for left, op, right in triples]
+    if len(getters) == 1:
+        return _Part(Kind.TRUTH, getters[0], node)
+
+    def get(situation: FlightSituation) -> Value:
+        values = [getter(situation) for getter in getters]
+        if False in values:
+            return False
+        return None if None in values else True
+
+    return _Part(Kind.TRUTH, get, node)
+
+
+def _one_comparison(left: _Part, op: ast.cmpop, right: _Part, node: ast.expr) -> Getter:
+    if type(op) not in COMPARISONS:
+        raise _problem(node, "compares with something else than < <= > >= == !=")
+    symbol, compare = COMPARISONS[type(op)]
+    _check_words(left, right)
+    _check_words(right, left)
+    if left.kind is not right.kind:
+        raise _problem(node, f"compares {left.kind.value} with {right.kind.value}")
+    if left.kind is not Kind.NUMBER and not isinstance(op, EQUALITIES):
+        raise _problem(node, f"{left.kind.value} has no order; use == or != in place of {symbol}")
+    return _lifted(compare, left, right)
+
+
+def _check_words(part: _Part, other: _Part) -> None:
+    """Refuse a word that the other side can never be, and one that stands for nothing."""
+    if part.word is None:
+        return
+    if not other.words:
+        raise _unknown(part)
+    if part.word not in other.words:
+        raise _problem(other.node, f"is never `{part.word}`; it is one of {', '.join(other.words)}")
+
+
+def _number_of(node: ast.expr) -> _Part:
+    return _part_of_kind(node, Kind.NUMBER, "a number is needed here")
+
+
+def _part_of_kind(node: ast.expr, kind: Kind, advice: str) -> _Part:
+    part = _part(node)
+    if part.word is not None:
+        raise _unknown(part)
+    if part.kind is not kind:
+        raise _problem(node, f"is {part.kind.value}; {advice}")
+    return part
+
+
+def _constant(node: ast.Constant) -> _Part:
+    value = node.value
+    if isinstance(value, bool):
+        return _Part(Kind.TRUTH, lambda _: value, node)
+    if isinstance(value, int | float):
+        if not abs(value) <= sys.float_info.max:
+            raise ConditionError("a number in it is too large")
+        number = float(value)
+        return _Part(Kind.NUMBER, lambda _: number, node)
+    if isinstance(value, str):
+        return _Part(Kind.WORD, lambda _: value, node, word=value)
+    raise _problem(node, "is no number, word, true or false")
+
+
+def _named(node: ast.Name | ast.Attribute) -> _Part:
+    name = ast.unparse(node)
+    info = FIELDS.get(name)
+    if info is not None:
+        return _Part(info.kind, operator.attrgetter(name), node, info.words)
+    if isinstance(node, ast.Name):
+        if name in TRUTHS:
+            return _Part(Kind.TRUTH, lambda _: TRUTHS[name], node)
+        return _Part(Kind.WORD, lambda _: name, node, word=name)
+    hint = did_you_mean(name, FIELDS, 0.5) or f"; known are {', '.join(FIELDS)}"
+    raise _problem(node, f"is not known{hint}")
+
+
+def _call(node: ast.Call) -> _Part:
+    name = node.func.id if isinstance(node.func, ast.Name) else ""
+    if node.keywords or len(node.args) != 1 or name not in ("abs", *SPEAKERS):
+        raise _problem(node, "is no function here: abs(), said() and autopilot_said() are")
+    if name == "abs":
+        return _Part(Kind.NUMBER, _lifted(abs, _number_of(node.args[0])), node)
+    argument = node.args[0]
+    if not (isinstance(argument, ast.Constant) and isinstance(argument.value, str)):
+        raise _problem(node, f'needs a text in quotes: {name}("LOCALISED")')
+    part, texts_of = argument.value, operator.attrgetter(SPEAKERS[name])
+    return _Part(Kind.TRUTH, lambda s: any(part in text for text in texts_of(s)), node)
+
+
+def _unknown(part: _Part) -> ConditionError:
+    return _problem(part.node, f"is not known here{did_you_mean(str(part.word), FIELDS, 0.4)}")
 
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return a hint at the most similar of the known names; empty where none is."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {close[0]}?" if close else ""
+
+
+def _problem(node: ast.expr, text: str) -> ConditionError:
+    return ConditionError(f"`{ast.unparse(node)}` {text}")

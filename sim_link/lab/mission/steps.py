@@ -203,26 +203,21 @@ class _RunningStep:
     refusal: str = ""
 
 
-ALWAYS = Condition("", ((),))
+ALWAYS = parse_condition("true")
 CONNECTED = parse_condition("vehicle.mode == vehicle.mode and companion.phase == companion.phase")
 """Both are known: what is unknown equals nothing, not even itself."""
 ARMED, DISARMED = parse_condition("vehicle.is_armed"), parse_condition("not vehicle.is_armed")
 IN_CONTROL = parse_condition("companion.is_in_control")
 GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")
 """Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
-READY = parse_condition(
-    "vehicle.is_ready and companion.phase == standby or "
-    "vehicle.is_ready and companion.is_in_control"
-)
+READY = parse_condition(f"vehicle.is_ready and ({GRANTED.text})")
 HOLDING = parse_condition("vehicle.mode == hold")
 RETURNING = parse_condition('vehicle.mode == "return"')
 LANDING = parse_condition("vehicle.mode == land")
 REPORTED = parse_condition("companion.reported > 0")
 CONTACT = parse_condition(
-    " or ".join(
-        f"estimate.r95_m >= 0 and companion.waypoint == {reason}"
-        for reason in ("approach", "crossing", "information", "hold")
-    )
+    "estimate.r95_m >= 0 and (companion.waypoint == approach or companion.waypoint == crossing or "
+    "companion.waypoint == information or companion.waypoint == hold)"
 )
 
 

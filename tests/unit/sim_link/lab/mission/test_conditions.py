@@ -1,4 +1,4 @@
-"""Conditions: what they say, what is refused, and what becomes of the unknown."""
+"""The language of conditions: what it says, what it refuses, and what it makes of the unknown."""
 
 from __future__ import annotations
 
@@ -29,17 +29,19 @@ def flying() -> FlightSituation:
         "vehicle.height_m > 19",
         "vehicle.mode == offboard",
         'vehicle.mode == "offboard"',
+        "offboard == vehicle.mode",
         "vehicle.mode != hold",
-        "vehicle.height_m > 15 and vehicle.height_m <= 19.5",
+        "15 < vehicle.height_m <= 19.5",
         "not vehicle.mode == hold",
         "vehicle.height_m > 100 or estimate.r95_m < 3",
-        "vehicle.height_m > 10 and estimate.state == localised or estimate.state == ambiguous",
-        "vehicle.is_armed or vehicle.height_m > 100 and estimate.r95_m > 3",
-        "estimate.error_m <= estimate.r95_m",
+        "vehicle.height_m > 10 and (estimate.state == localised or estimate.state == ambiguous)",
+        "estimate.error_m <= 2 * estimate.r95_m - 1",
+        "abs(estimate.error_m - 2) < 1",
         "vehicle.height_m > -3",
         'said("no ranging")',
         'not autopilot_said("no ranging")',
         "vehicle.is_armed == true",
+        "true",
     ],
 )
 def test_a_condition_that_holds(flying: FlightSituation, text: str) -> None:
@@ -52,11 +54,10 @@ def test_a_condition_that_holds(flying: FlightSituation, text: str) -> None:
         "not vehicle.is_armed",
         "vehicle.height_m > 19.5",
         "vehicle.mode == hold",
-        "vehicle.height_m > 19.6 and vehicle.height_m < 30",
+        "19.6 < vehicle.height_m < 30",
         "estimate.r95_m < 2 or vehicle.height_m < 3",
         'said("LOCALISED")',
-        'said("no ranging and more")',
-        "vehicle.is_armed != true",
+        "false",
     ],
 )
 def test_a_condition_that_does_not_hold(flying: FlightSituation, text: str) -> None:
@@ -68,9 +69,10 @@ def test_a_condition_that_does_not_hold(flying: FlightSituation, text: str) -> N
     [
         "vehicle.battery > 0.5",
         "not vehicle.battery > 0.5",
-        "vehicle.battery != 3",
+        "vehicle.battery + 1 != 3",
         "vehicle.is_armed and vehicle.battery > 0.5",
-        "vehicle.mode == hold or vehicle.battery > 0.5",
+        "not (vehicle.is_armed and vehicle.battery > 0.5)",
+        "0.1 < vehicle.battery < 0.9",
         "vehicle.battery == vehicle.battery",
     ],
 )
@@ -80,8 +82,8 @@ def test_what_is_unknown_neither_holds_nor_fails(flying: FlightSituation, text: 
 
 def test_an_unknown_decides_nothing_where_the_rest_decides(flying: FlightSituation) -> None:
     assert parse_condition("vehicle.battery > 0.5 or vehicle.is_armed").holds(flying)
-    assert parse_condition("vehicle.battery > 0.5 and vehicle.mode == hold").is_false(flying)
-    assert not parse_condition("vehicle.battery > 0.5 or vehicle.mode == hold").is_false(flying)
+    assert parse_condition("not (vehicle.battery > 0.5 and vehicle.mode == hold)").holds(flying)
+    assert parse_condition("not (0.5 < vehicle.battery and 20 < vehicle.height_m)").holds(flying)
 
 
 @pytest.mark.parametrize(
@@ -94,22 +96,24 @@ def test_an_unknown_decides_nothing_where_the_rest_decides(flying: FlightSituati
         ("vehicle.mode < hold", "has no order"),
         ("vehicle.mode == 3", "compares a word with a number"),
         ("vehicle.is_armed == 1", "compares true or false with a number"),
-        ("vehicle.height_m >", "is no comparison"),
-        ("vehicle.height_m = 3", "is no comparison"),
-        ("3 < vehicle.height_m < 5", "is no comparison"),
+        ("vehicle.height_m >", "not a condition (column"),
+        ("vehicle.height_m = 3", "not a condition (column"),
         ("hold", "is not known here"),
         ("hold == land", "is not known here"),
-        ("vehicle.height_m > hold", "is not known here"),
-        ("vehicle.height_m > inf", "is no finite number"),
-        ("vehicle.height_m / 2 > 2", "is no comparison"),
-        ("vehicle.mode in 'hold'", "is no comparison"),
-        ("__import__('os')", "is no comparison"),
-        ("said(vehicle.mode)", "is no comparison"),
-        ("vehicle.mode.upper() == 'HOLD'", "is no comparison"),
+        ("hold + 1 > 2", "is not known here"),
+        ("vehicle.mode + 1 > 2", "a number is needed here"),
+        ("vehicle.height_m / 2 > 2", "something else than + - *"),
+        ("vehicle.mode in 'hold'", "something else than < <="),
+        ("__import__('os')", "is no function here"),
+        ("abs(3, 4) > 2", "is no function here"),
+        ("said(vehicle.mode)", "needs a text in quotes"),
+        ("vehicle.mode.upper() == 'HOLD'", "is no function here"),
+        ("[1][0] > 0", "is not part of the language"),
+        ("lambda: 1", "is not part of the language"),
+        ("vehicle.height_m > 3j", "is no number"),
         ("not vehicle.mode", "is a word; compare it"),
-        ("vehicle.is_armed and", "is no comparison"),
         ("x" * 2000, "longer than"),
-        ("", "is no comparison"),
+        ("", "not a condition"),
     ],
 )
 def test_a_condition_that_makes_no_sense_is_refused(text: str, complaint: str) -> None:
