@@ -12,6 +12,7 @@ from tools.study.walks.walk_choice import (
     Job,
     choices,
     jobs_in,
+    rank,
     score,
     variants_of,
     varied,
@@ -37,6 +38,16 @@ def test_a_file_is_judged_with_what_the_other_one_chooses() -> None:
         for key, value in zip(TRIED["wifi_aoa"], chosen, strict=True):
             assert f"{key} {value:g}" in line
     assert lines[3].split()[-3:] == ["90", "%", "2.90"]  # of 2.0 and 3.0, not of 0.1 and 0.2
+
+
+def test_claims_that_hold_come_before_small_errors() -> None:
+    def claimed(error_m: float, held: int) -> list[TargetClaims]:
+        made = [Claim(EstimateState.LOCALISED, 0.5, 0.5, 1.0)] * held
+        made += [Claim(EstimateState.LOCALISED, 2.0, 2.0, 1.0)] * (50 - held)
+        return [TargetClaims("walk", "1", 10, along=made, final=targets(error_m)[0].final)]
+
+    assert rank(claimed(0.5, 47)) < rank(claimed(0.4, 46)) < rank(claimed(0.4, 45))
+    assert rank(claimed(0.4, 48)) < rank(claimed(0.5, 50))
 
 
 def test_a_target_that_is_never_found_is_the_worst_of_all() -> None:
