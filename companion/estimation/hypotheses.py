@@ -260,8 +260,8 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
 def _merged(better: Hypothesis, other: Hypothesis) -> Hypothesis:
     """Return two hypotheses as one at the better place, with the probability of both.
 
-    Of a window's two covariances it has the mixture's second moment about that place: the other
-    place is as probable as before, although it is no longer told apart.
+    Of a window's two covariances it has the mixture's second moment about that place, so that R95
+    still contains the other place with its probability.
     """
     log_weight = float(np.logaddexp(better.log_weight, other.log_weight))
     here_m2, there_m2 = better.least_covariance_m2, other.least_covariance_m2

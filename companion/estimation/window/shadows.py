@@ -2,8 +2,8 @@
 
 What stands between emitter and vehicle weakens all measurements from about the same place. In dB
 these shadows are a random field over positions with covariance s^2 exp(-d / l), to which fading
-adds a variance of f^2 for each measurement. Other than errors of ranges and bearings they are part
-of any received power, so that s, f and l are known before the flight.
+adds a variance of f^2 for each measurement. Unlike errors of ranges and bearings they are part of
+any received power, so that s, f and l are known before the flight.
 
 The window weighs every measurement by what its neighbours repeat of it, and solves for the optimum
 as if errors were independent. The variance of that solution is the one under the field.
@@ -93,7 +93,7 @@ def absorbed_share(
     times the `weights` (n,).
     """
     partials = weighed / weights[:, None]
-    # a place is not observable from one point: then only what is has a gain
+    # from one point a position is unobservable: its gain is zero, which an inverse does not have
     gain = slope * np.linalg.pinv(slope * (weighed.T @ partials) + prior, hermitian=True)
     crossed = gain @ unit.covariance(weighed, partials)
     fitted = gain @ unit.variance(weighed) @ gain @ (partials.T @ partials)
