@@ -6,7 +6,7 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
 from tests.contract.filter_helpers import FILTERS, VARIANTS
-from tools.campaign.hostile_campaign import MakeFilter
+from tests.contract.hostile_sequences import MakeFilter
 
 
 @pytest.fixture(params=VARIANTS)

@@ -17,7 +17,7 @@ from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, FilterState, UpdateReport
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
-from tools.campaign.hostile_campaign import MakeFilter, fault_of
+from tests.contract.hostile_sequences import MakeFilter, fault_of
 from tools.study.admm_ekf import RECURSIVE
 
 FILTERPY = "tools.study.filterpy_ekf"

@@ -20,14 +20,14 @@ from tests.contract.filter_helpers import (
     seen_at,
     state_of,
 )
-from tools.campaign.hostile_campaign import MakeFilter, fault_of, hostile_params, run_sequence
+from tests.contract.hostile_sequences import MakeFilter, fault_of, hostile_params, run_sequence
 
 # The covariance
 
 
 @OF_FILTERPY
 def test_hostile_sequences_leave_it_sane_or_declared_lost(make: MakeFilter) -> None:
-    """A short form of tools/campaign/hostile_campaign.py, which runs a hundred thousand."""
+    """A short form of the campaign in `test_hostile_sequences`, which runs a hundred thousand."""
     updates = lost = 0
     for number in range(150):
         rng = np.random.default_rng([7, number])

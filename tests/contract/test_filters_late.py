@@ -10,7 +10,7 @@ import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
 from tests.contract.filter_helpers import assert_same, seen_at, state_of
-from tools.campaign.hostile_campaign import MakeFilter
+from tests.contract.hostile_sequences import MakeFilter
 
 
 def test_of_a_target_that_lies_still_a_late_measurement_is_as_good(

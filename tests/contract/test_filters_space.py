@@ -19,7 +19,7 @@ from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import predicted
 from companion.kernel import Vector
 from tests.contract.filter_helpers import BOUNDED, assert_same, seen_at, state_of, surprises
-from tools.campaign.hostile_campaign import MakeFilter
+from tests.contract.hostile_sequences import MakeFilter
 
 # Bounds
 

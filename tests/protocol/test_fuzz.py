@@ -10,8 +10,8 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.lab.conformance.rules import Flavour
 from tests.protocol.conformance_rigs import simulator
+from tests.protocol.frame_fuzzer import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
 from tests.protocol.tampered import Tampered, set_byte
-from tools.fuzz.frame_fuzzer import FrameFuzzer, FuzzCampaign, FuzzFailure, Meant
 
 FRAMES = 8_000
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)

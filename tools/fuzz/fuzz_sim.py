@@ -19,8 +19,8 @@ from companion.entry import ignore_broken_pipe
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.conformance.rules import Flavour
+from tests.protocol.frame_fuzzer import FuzzCampaign, FuzzFailure
 from tools.console import OneLineParser
-from tools.fuzz.frame_fuzzer import FuzzCampaign, FuzzFailure
 
 BATCH = 10_000
 WARM_UP_SHARE = 0.2

@@ -17,7 +17,7 @@ from companion.config.schema import load_config
 from companion.geometry.coordinates import LocalOrigin
 from companion.link.radio_settings import RadioSettings
 from companion.radio_tools.calibration import CalibrationRun
-from tools.campaign.calibration_campaign import (
+from tests.unit.companion.radio_tools.simulated_radio import (
     POINT,
     Course,
     Truth,

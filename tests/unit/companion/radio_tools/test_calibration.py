@@ -13,7 +13,7 @@ from companion.io.radio_recording import TimedPose
 from companion.radio_tools.calibration import Calibration, CalibrationRun, RunWindow, calibrate
 from companion.radio_tools.calibration_text import verdict
 from companion.radio_tools.clustered_fit import ratio_figure
-from tools.campaign.calibration_campaign import (
+from tests.unit.companion.radio_tools.simulated_radio import (
     POINT,
     Course,
     Score,

@@ -1,6 +1,4 @@
-"""Feeds every filter hostile sequences; exit 1 if one ever breaks its guarantee about P.
-
-Hostile sequences are measurements as no sane radio sends them, through filters of random settings.
+"""Measurements as no sane radio sends them, through filters of random settings.
 
 A filter guarantees that its covariance stays symmetric positive definite and never grows on an
 update, whatever its input; where rounding makes that impossible it reports so and keeps its state.
@@ -11,16 +9,13 @@ A sequence depends on its seed alone, so a failure can be repeated by itself.
 
 from __future__ import annotations
 
-import itertools
 import math
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.entry import ignore_broken_pipe
 from companion.estimation.filters.target_filter import (
     FilterParams,
     FilterState,
@@ -29,8 +24,6 @@ from companion.estimation.filters.target_filter import (
     UpdateReport,
 )
 from companion.kernel import Matrix
-from tools.console import OneLineParser
-from tools.study.admm_ekf import RECURSIVE
 
 MakeFilter = Callable[[FilterParams], TargetFilter]
 
@@ -239,32 +232,3 @@ def run_campaign(make: dict[str, MakeFilter], first: int, count: int, seed: int)
         faults = tuple(f"{name}, sequence {number}: {fault}" for fault in outcome.faults)
         total = total.joined(SequenceOutcome(1, outcome.updates, outcome.refused, faults))
     return total
-
-
-CHUNKS = 20
-
-
-def main() -> int:
-    """Run all sequences and print the findings; return the exit code."""
-    parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--sequences", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    total, count = SequenceOutcome(), arguments.sequences
-    edges = [count * index // CHUNKS for index in range(CHUNKS + 1)]
-    for first, end in itertools.pairwise(edges):
-        total = total.joined(run_campaign(RECURSIVE, first, end - first, arguments.seed))
-        print(f"{total.sequences:8d} sequences, {len(total.faults)} faults", flush=True)
-    for fault in total.faults[:10]:
-        print(fault, file=sys.stderr)
-    print(
-        f"{'FAILED' if total.faults else 'held'}: {total.updates} updates in {total.sequences} "
-        f"sequences of {len(RECURSIVE)} filters, {total.refused} declared lost, "
-        f"{len(total.faults)} faults, seed {arguments.seed}"
-    )
-    return 1 if total.faults else 0
-
-
-if __name__ == "__main__":
-    ignore_broken_pipe()
-    sys.exit(main())

@@ -1,9 +1,8 @@
-"""Calibrates simulated radios whose truth is known, and counts how often the result is right.
+"""Simulated radios whose truth is known, and the errors of their calibration.
 
 Every seed draws a radio (range offset, scale, lag, sign, mount, noise, reflections, harmonics of
 the antenna and of the compass) and flies it through a turn, a line out and back, a circle and a
-blocked run. `tools/campaign/calibration_campaign.py --runs 200` prints a row for each figure: its
-error, the share within the specification, and the share whose 95 % interval holds the truth.
+blocked run.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.entry import ignore_broken_pipe
 from companion.geometry.coordinates import wrap_pi
 from companion.io.radio_recording import (
     RadioBytes,
@@ -27,9 +25,8 @@ from companion.io.radio_recording import (
     RecordingHeader,
     TimedPose,
 )
-from companion.radio_tools.calibration import Calibration, CalibrationRun, calibrate
+from companion.radio_tools.calibration import Calibration, CalibrationRun
 from companion.radio_tools.clustered_fit import Figure
-from tools.console import OneLineParser
 
 RATE_HZ = 10.0
 POINT: PositionEnu = (12.0, -7.0, 1.0)
@@ -334,56 +331,3 @@ def drawn_run(
     truth = draw(rng)
     course, blocked = all_tests()
     return truth, simulated(truth, rng, course, blocked)
-
-
-def table(found: list[Score]) -> str:
-    """Return a row for each figure."""
-    titles = "".join(f" {title:>8}" for title in ("median", "RMS", "worst", "within", "covered"))
-    lines = [f"{'figure':<22} {'n':>4}{titles}"]
-    for name in dict.fromkeys(score.name for score in found):
-        own = [score for score in found if score.name == name]
-        errors = np.array([score.error for score in own])
-        kept = [score.is_within for score in own if score.is_within is not None]
-        covered = [score.is_covered for score in own if score.is_covered is not None]
-        shares = [f"{100.0 * np.mean(x):6.1f} %" if x else "-" for x in (kept, covered)]
-        worst = errors[np.argmax(np.abs(errors))]
-        rms = math.sqrt(float(np.mean(errors**2)))
-        lines.append(
-            f"{name:<22} {len(own):>4} {np.median(errors):>8.3f} {rms:>8.3f} {worst:>8.3f} "
-            f"{shares[0]:>8} {shares[1]:>8}"
-        )
-    return "\n".join(lines)
-
-
-def main() -> None:
-    """Run the seeds and print the table."""
-    parser = OneLineParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--first", type=int, default=1)
-    text = "write the first seed as a recording for `companion radio calibrate`, and fit nothing"
-    parser.add_argument("--record", metavar="FILE", type=Path, help=text)
-    arguments = parser.parse_args()
-    if arguments.record is not None:
-        truth, run = drawn_run(arguments.first)
-        record(run, arguments.record)
-        print(f"{truth}\n--point-enu {','.join(f'{x:g}' for x in POINT)}")
-        return
-    found: list[Score] = []
-    refused: dict[str, int] = {}
-    for seed in range(arguments.first, arguments.first + arguments.runs):
-        truth, run = drawn_run(seed)
-        done = calibrate(run)
-        for score in scores(truth, done):
-            found.append(score)
-            if score.is_within is False and score.name in ("sign, fold", "mount deg", "offset m"):
-                print(f"seed {seed}: {score.name} off by {score.error:.3f}")
-        for reason in done.refusals:
-            refused[reason] = refused.get(reason, 0) + 1
-    print(table(found))
-    for reason, count in refused.items():
-        print(f"refused {count}: {reason}")
-
-
-if __name__ == "__main__":
-    ignore_broken_pipe()
-    main()

@@ -1,4 +1,4 @@
-"""The hostile campaign: the same story every time, and no broken promise goes unseen."""
+"""Hostile sequences: the same story every time, and no broken promise goes unseen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from companion.estimation.filters.target_filter import (
     Inflation,
     UpdateReport,
 )
-from tools.campaign.hostile_campaign import (
+from tests.contract.hostile_sequences import (
     SIGMAS,
     MakeFilter,
     SequenceOutcome,
@@ -29,6 +29,7 @@ from tools.campaign.hostile_campaign import (
     run_campaign,
     run_sequence,
 )
+from tools.study.admm_ekf import RECURSIVE
 
 Break = Callable[[UpdateReport, FilterState], UpdateReport]
 
@@ -182,3 +183,8 @@ def test_it_is_as_hostile_as_it_says() -> None:
         state = hostile_state(params, rng)
         assert np.array_equal(state.covariance, state.covariance.T)
         assert least_correlation_eigenvalue(state.covariance) > 0.0
+
+
+@pytest.mark.campaign
+def test_a_hundred_thousand_sequences_break_no_promise() -> None:
+    assert run_campaign(RECURSIVE, 0, 100_000, seed=1).faults == ()
