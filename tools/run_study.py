@@ -23,7 +23,6 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
-from tools.benches.planner_bench import costs_of
 from tools.console import OneLineParser, non_negative, positive, shown
 from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
 from tools.study.field_flights import flights_of, fly_all, rows_kept
@@ -39,6 +38,7 @@ from tools.study.reporting.tables import tables_of
 from tools.study.searched_area import Trial
 from tools.study.searched_area import fly as fly_search
 from tools.study.searched_prior import FixPair, fly_pair, table_of_pairs
+from tools.study.step_costs import costs_of
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
 from tools.study.study_run import (
     FOLDER_NAME,

@@ -43,7 +43,6 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
-from tools.benches.planner_bench import filter_states
 from tools.study.case import (
     TRUTH,
     Case,
@@ -55,6 +54,7 @@ from tools.study.case import (
     truth_of,
 )
 from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from tools.study.step_costs import filter_states
 from tools.study.systems import PlannerName, System, belief_of, pilot_of, steering_of
 from tools.study.trials import TrialResult, flown_trial, run_trial
 from tools.study.walk import next_place

@@ -15,7 +15,6 @@ with numba's compilation disabled, against filterpy timed there; both belong to 
 
 from __future__ import annotations
 
-import importlib.metadata
 import importlib.util
 import json
 import math
@@ -24,21 +23,20 @@ import platform
 import statistics
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from time import perf_counter
+from typing import TypeVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filters.kalman import robust_update
 from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.window.map_kernels import (
     COLUMNS,
     DAMPING_START,
-    MAX_ITERATIONS,
-    map_descent,
     map_step,
     measured_innovations,
 )
@@ -67,12 +65,13 @@ SEED = 1
 SYSTEM = System("asymmetric_huber", "passive")
 
 FILTERPY_PREDICT, FILTERPY_UPDATE = "filterpy predict", "filterpy update"
-LOOP, CALL, OBJECT = "update, in a kernel's loop", "update, kernel called", "TargetFilter.update"
-MAP_STEP, MAP_MINIMUM = f"MAP step of {WINDOW}", f"MAP minimum of {WINDOW}"
+LOOP, OBJECT = "update, in a kernel's loop", "TargetFilter.update"
+MAP_STEP = f"MAP step of {WINDOW}"
 
 Seconds = dict[str, float]
 """Per update or step, by what was timed."""
 Contender = Callable[[], Seconds]
+Subject = TypeVar("Subject", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,61 +91,38 @@ class Walk:
         return first_fix(east_m, north_m, range_m, bearing_rad, self.belief)
 
 
-@dataclass(frozen=True, slots=True)
-class Ratio:
-    """A cost beside its limit."""
-
-    name: str
-    cost_us: float
-    reference: str
-    reference_us: float
-    ratio: float
-    limit: float
-    is_met: bool
-
-
-@dataclass(frozen=True, slots=True)
-class FilterBench:
-    """Medians and ratios of one run."""
-
-    python: str
-    numpy: str
-    numba: str | None
-    """None: not installed, and nothing compiled was timed."""
-    updates: int
-    rounds: int
-    compiled_us: dict[str, float] | None
-    plain_us: dict[str, float]
-    ratios: list[Ratio]
-
-
-def bench_filters(rounds: int = ROUNDS) -> FilterBench:
-    """Time the filters, compiled if numba is installed, and plain."""
+def print_filters(rounds: int = ROUNDS) -> None:
+    """Time the filters, compiled if numba is installed, and plain; print times and limits."""
     walk = canonical_walk()
     has_numba = importlib.util.find_spec("numba") is not None
-    compiled = timed(contenders(walk), rounds) if has_numba else None
-    plain = _plain_in_a_process(rounds) if has_numba else timed(contenders(walk), rounds)
-    return FilterBench(
-        python=platform.python_version(),
-        numpy=np.__version__,
-        numba=importlib.metadata.version("numba") if has_numba else None,
-        updates=len(walk.z) - 1,
-        rounds=rounds,
-        compiled_us=compiled,
-        plain_us=plain,
-        ratios=ratios_of(compiled, plain),
-    )
+    compiled = seconds_of(walk, rounds) if has_numba else None
+    plain = _plain_in_a_process(rounds) if has_numba else seconds_of(walk, rounds)
+    numba = f"numba {version('numba')}" if has_numba else "no numba: plain Python only"
+    print(f"Python {platform.python_version()}, numpy {np.__version__}, {numba}")
+    print(f"medians over {rounds} rounds of {len(walk.z) - 1} updates, microseconds\n")
+    print(f"{'':28s}{'compiled':>10s}{'plain':>10s}")
+    for name, plain_us in plain.items():
+        compiled_us = "-" if compiled is None else f"{compiled[name]:.2f}"
+        print(f"{name:28s}{compiled_us:>10s}{plain_us:10.2f}")
+    print("", *verdicts_of(compiled, plain), sep="\n")
 
 
-def ratios_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) -> list[Ratio]:
-    """Return the ratios with limits, from costs in microseconds."""
-    ratios = []
-    if compiled_us is not None:
-        both = [FILTERPY_PREDICT, FILTERPY_UPDATE]
-        ratios.append(_ratio("compiled", LOOP, compiled_us, both, 0.1))
-        ratios.append(_ratio("compiled", MAP_STEP, compiled_us, [FILTERPY_UPDATE], 5.0))
-    ratios.append(_ratio("plain", OBJECT, plain_us, [FILTERPY_UPDATE], 3.0))
-    return ratios
+def verdicts_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) -> list[str]:
+    """Return each cost with a limit beside its peer's, from costs in microseconds."""
+    found = []
+    for way, costs_us, name, peers, limit in (
+        ("compiled", compiled_us, LOOP, (FILTERPY_PREDICT, FILTERPY_UPDATE), 0.1),
+        ("compiled", compiled_us, MAP_STEP, (FILTERPY_UPDATE,), 5.0),
+        ("plain", plain_us, OBJECT, (FILTERPY_UPDATE,), 3.0),
+    ):
+        if costs_us is not None:
+            cost_us, peers_us = costs_us[name], sum(costs_us[peer] for peer in peers)
+            ratio, named = cost_us / peers_us, " + ".join(peers)
+            found.append(
+                f"{way} {name}: {cost_us:.2f} us, {ratio:.3f} x {named} ({peers_us:.2f} us); "
+                f"limit {limit:g} x: {'met' if ratio <= limit else 'NOT MET'}"
+            )
+    return found
 
 
 def canonical_walk() -> Walk:
@@ -167,30 +143,38 @@ def contenders(walk: Walk) -> list[Contender]:
     return [
         lambda: filterpy_seconds(walk),
         lambda: loop_seconds(walk),
-        lambda: call_seconds(walk),
         lambda: object_seconds(walk),
         lambda: window_seconds(walk),
     ]
 
 
+def seconds_of(walk: Walk, rounds: int) -> dict[str, float]:
+    """Return the medians of this process, microseconds."""
+    return timed({SYSTEM: contenders(walk)}, rounds)[SYSTEM]
+
+
 def print_times(rounds: int) -> None:
     """Write the medians of this process to its standard output, as JSON."""
-    sys.stdout.write(json.dumps(timed(contenders(canonical_walk()), rounds)))
+    sys.stdout.write(json.dumps(seconds_of(canonical_walk(), rounds)))
 
 
-def timed(timers: Sequence[Contender], rounds: int) -> dict[str, float]:
-    """Return medians over interleaved rounds, microseconds.
+def timed(timers: Mapping[Subject, Sequence[Contender]], rounds: int) -> dict[Subject, Seconds]:
+    """Return medians of each subject's figures over interleaved rounds, microseconds.
 
     The round that compiles does not count.
     """
-    for timer in timers:
+    named = [(subject, timer) for subject, own in timers.items() for timer in own]
+    for _, timer in named:
         timer()
-    found: dict[str, list[float]] = {}
+    found: dict[Subject, dict[str, list[float]]] = {subject: {} for subject in timers}
     for _ in range(rounds):
-        for timer in timers:
+        for subject, timer in named:
             for name, seconds in timer().items():
-                found.setdefault(name, []).append(seconds)
-    return {name: 1e6 * statistics.median(values) for name, values in found.items()}
+                found[subject].setdefault(name, []).append(seconds)
+    return {
+        subject: {name: 1e6 * statistics.median(values) for name, values in own.items()}
+        for subject, own in found.items()
+    }
 
 
 def filterpy_seconds(walk: Walk) -> Seconds:
@@ -235,27 +219,6 @@ def loop_seconds(walk: Walk) -> Seconds:
     return {LOOP: (perf_counter() - begun) / (len(walk.z) - 1)}
 
 
-def call_seconds(walk: Walk) -> Seconds:
-    """Run once with the update kernel called from Python each time."""
-    (mean, covariance), belief = walk.first_fix(), walk.belief
-    sensors = np.column_stack([walk.track_enu_m, np.zeros(len(walk.z))])
-    begun = perf_counter()
-    for sensor, z in zip(sensors[1:], walk.z[1:], strict=True):
-        mean, covariance, _, _ = robust_update(
-            mean,
-            covariance,
-            sensor,
-            z,
-            belief.sigma,
-            0.0,
-            belief.inflation,
-            belief.thresholds,
-            belief.bounds,
-            belief.model,
-        )
-    return {CALL: (perf_counter() - begun) / (len(walk.z) - 1)}
-
-
 def object_seconds(walk: Walk) -> Seconds:
     """Run the filter class that flies once, its report included."""
     target_filter = recursive_filter_of(walk.case, SYSTEM)
@@ -293,7 +256,7 @@ def stepped_often(
 
 
 def window_seconds(walk: Walk) -> Seconds:
-    """Time the first step of a window's solution, and the whole solution from the same start."""
+    """Time the first step of a window's solution."""
     rows, belief = window_rows(walk), walk.belief
     start = belief.prior_mean.copy()
     start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
@@ -302,11 +265,7 @@ def window_seconds(walk: Walk) -> Seconds:
     information, pull = np.diag(weights), weights * belief.prior_mean
     begun = perf_counter()
     stepped_often(rows, start, belief, information, pull, MAP_STEPS)
-    step_s = (perf_counter() - begun) / MAP_STEPS
-    begun = perf_counter()
-    problem = (belief.thresholds, belief.bounds, information, pull, belief.model)
-    map_descent(rows, start, DAMPING_START, MAX_ITERATIONS, *problem)
-    return {MAP_STEP: step_s, MAP_MINIMUM: perf_counter() - begun}
+    return {MAP_STEP: (perf_counter() - begun) / MAP_STEPS}
 
 
 def window_rows(walk: Walk) -> Matrix:
@@ -317,22 +276,6 @@ def window_rows(walk: Walk) -> Matrix:
     rows[:, 6:9] = walk.belief.sigma
     rows[:, 9] = np.arange(WINDOW)
     return rows
-
-
-def _ratio(
-    way: str, name: str, costs_us: dict[str, float], reference: Sequence[str], limit: float
-) -> Ratio:
-    reference_us = sum(costs_us[key] for key in reference)
-    ratio = costs_us[name] / reference_us
-    return Ratio(
-        f"{way} {name}",
-        costs_us[name],
-        " + ".join(reference),
-        reference_us,
-        ratio,
-        limit,
-        ratio <= limit,
-    )
 
 
 def _plain_in_a_process(rounds: int) -> dict[str, float]:

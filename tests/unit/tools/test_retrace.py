@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tools.benches.filter_bench import SEED
-from tools.benches.planner_bench import decided, filter_states, recorded_run, retraced
 from tools.study.case import Case
+from tools.study.step_costs import decided, filter_states, recorded_run, retraced
 from tools.study.systems import PlannerName, System
 from tools.study.trials import run_trial
 

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
-from tools.benches.planner_bench import costs_of
+from tools.study.case import Case
+from tools.study.step_costs import DECISION, STEP, SYSTEMS, UPDATE, costs_ms, costs_of
 from tools.study.study import Study, StudyResult
+from tools.study.systems import System
 
 
 def _result(metrics: list[str]) -> StudyResult:
@@ -37,3 +40,16 @@ def test_costs_stand_beside_the_papers_and_filterpys() -> None:
 
 def test_nothing_is_timed_that_nobody_asked_for() -> None:
     assert costs_of([_result(["final_rmse_m"])]) == []
+
+
+def test_every_system_is_timed() -> None:
+    costs = costs_ms(Case(steps=12), SYSTEMS, rounds=1)
+    assert all(cost[STEP] > 0.0 < cost[UPDATE] for cost in costs)
+    decides = [system for system, cost in zip(SYSTEMS, costs, strict=True) if DECISION in cost]
+    flies_map = System("map", "latched")
+    assert decides == [s for s in SYSTEMS if s.planner != "passive" and s != flies_map]
+
+
+def test_a_system_without_kernels_is_refused() -> None:
+    with pytest.raises(ValueError, match="tracker"):
+        costs_ms(Case(steps=12), [System("tracker", "latched")], rounds=1)
