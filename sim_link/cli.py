@@ -25,8 +25,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.neighbours import FleetAmongOthers
-from sim_link.fleet.vehicles import (
+from sim_link.fleet import (
     Fleet,
     FleetFiles,
     FleetOptions,
@@ -37,6 +36,7 @@ from sim_link.fleet.vehicles import (
     make_vehicles,
     udp_ports,
 )
+from sim_link.neighbours import FleetAmongOthers
 
 DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
@@ -97,8 +97,8 @@ def run_subcommand(argv: Sequence[str]) -> int:
 
 def subcommand_parser() -> RaisingParser:
     """Return the parser of `sim-link` with a subcommand."""
-    from sim_link.lab import radio_command  # the laboratory is slow to import, and rarely needed
-    from sim_link.lab.faults import proxy
+    from sim_link.lab import radio_follower
+    from sim_link.lab.faults import faulty_link
     from sim_link.lab.mission import mission_cli
 
     parser = RaisingParser(prog="sim-link")
@@ -107,8 +107,8 @@ def subcommand_parser() -> RaisingParser:
     kinds = mission.add_subparsers(required=True, metavar="{run}")
     for below, name, summary, module in (
         (kinds, "run", "fly scripts and report pass or fail", mission_cli),
-        (commands, "radio", "a radio payload for a vehicle that has none", radio_command),
-        (commands, "proxy", "a bad link between a vehicle and a companion", proxy),
+        (commands, "radio", "a radio payload for a vehicle that has none", radio_follower),
+        (commands, "proxy", "a bad link between a vehicle and a companion", faulty_link),
     ):
         subcommand = below.add_parser(
             name,

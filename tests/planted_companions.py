@@ -27,7 +27,7 @@ from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import set_mode_params
 from companion.mav.framing import message_id
 from sim_link.lab.faults.fault_effects import rewrite_frame
-from sim_link.lab.lockstep.flight import MakeCompanion
+from sim_link.lab.lockstep import MakeCompanion
 
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT

@@ -11,7 +11,7 @@ import msgspec
 from companion.config.schema import CompanionConfig, load_config
 from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.wifi import ANDROID_HEADER
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
 from tests.radio_formats import POWERS, Format
 
 ROOT = Path(__file__).resolve().parents[1]

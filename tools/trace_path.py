@@ -32,7 +32,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
 from companion.mav.endpoint import Chunk  # noqa: E402
 from companion.mav.framing import message_id  # noqa: E402
 from sim_link.autopilot.scenario import Scenario  # noqa: E402
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal  # noqa: E402
+from sim_link.lab.lockstep import Flight, MemoryJournal  # noqa: E402
 
 PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fusion"

@@ -20,9 +20,8 @@ from companion.geometry.coordinates import LocalOrigin, wrap_pi
 from companion.geometry.polygons import Point, depth_m
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
-from sim_link.autopilot.estimator import Estimator
+from sim_link.autopilot.estimator import EstimatedMotion, Estimator
 from sim_link.autopilot.mission_executor import MissionRun
-from sim_link.autopilot.navigation import EstimatedMotion
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import (
     AMSL_FRAMES,

@@ -13,7 +13,7 @@ from companion.domain import PositionEnu
 from companion.geometry.coordinates import ned_from_enu
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import Axes, Echo
-from sim_link.autopilot.navigation import FixName
+from sim_link.autopilot.estimator import FixName
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.world.point_mass import GRAVITY_MPS2
 

@@ -1,6 +1,6 @@
 """The scenario: everything that one simulated flight is made of.
 
-The defaults are the canonical scenario. `sim_link.fleet.vehicles` reads it from YAML.
+The defaults are the canonical scenario. `sim_link.fleet` reads it from YAML.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import msgspec
 from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
+from sim_link.autopilot.estimator import GpsParams, NavigationParams
 from sim_link.autopilot.incidents import Incident, OtherVehicle
-from sim_link.autopilot.navigation import NavigationParams
 from sim_link.autopilot.protocols.addressing import LinkMode
 from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.environment import (
@@ -102,17 +102,6 @@ class RcParams(Params, frozen=True):
 
     is_present: bool = False
     """True if a transmitter is switched on; its sticks rest in the middle."""
-
-
-class GpsParams(Params, frozen=True):
-    """Effects of GNSS and estimator on the reported position."""
-
-    drift_mps: NonNegative = 0.3
-    """Drift of the estimate without a fix, in m/s."""
-    valid_without_fix_s: NonNegative = 5.0
-    """Time for which the estimate is used without a fix."""
-    receivers: Literal[1, 2] = 1
-    """GNSS receivers; the second one reports by GPS2_RAW."""
 
 
 class FenceParams(Params, frozen=True):

@@ -7,16 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.errors import ConfigError
-from sim_link.emulators import (
-    bearings,
-    cellular,
-    nlink,
-    power,
-    printed_lines,
-    uwb_binary,
-    uwb_text,
-    wifi,
-)
+from sim_link.emulators import bearings, nlink, power, printed_lines, uwb_binary, uwb_text, wifi
 from sim_link.emulators.emulator import Emulator
 
 KINDS: tuple[type[Emulator], ...] = (
@@ -63,9 +54,9 @@ KINDS: tuple[type[Emulator], ...] = (
     power.TheThingsStack,
     power.Uavrt,
     printed_lines.Sx1280,
-    cellular.Srsran4g,
-    cellular.Srsran,
-    cellular.Oai,
+    power.Srsran4g,
+    power.Srsran,
+    power.Oai,
     printed_lines.Lines,
 )
 OWN_STREAM = 45_010

@@ -26,7 +26,7 @@ from companion.run import ViewedJournal
 from companion.web.live_map import WebView
 from companion.web.settings import NO_TILE, WebSettings, web_settings
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import Flight
+from sim_link.lab.lockstep import Flight
 from tests.ports import free_port
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)

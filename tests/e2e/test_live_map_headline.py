@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import Scenario
 from tests.e2e.live_map_rig import (
     DESK,

@@ -39,7 +39,7 @@ def test_a_vehicle_that_is_spelt_wrong(sim_vehicle): ...
 
 def test_a_link_that_breaks(faulty_link):
     from sim_link.lab.faults.fault_models import LinkBlackout
-    from sim_link.lab.lockstep.observer import Lane
+    from sim_link.lab.observer import Lane
 
     assert faulty_link.carry(b"frame", Lane.TO_VEHICLE, 1.0) == [(1.0, b"frame")]
     faulty_link.add(LinkBlackout(), 2.0)

@@ -44,7 +44,7 @@ from sim_link.autopilot.incidents import Incident, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal, Operator
+from sim_link.lab.lockstep import VEHICLE_PEER, Flight, Makers, MemoryJournal, Operator
 from sim_link.world.environment import EmitterParams
 from tools.campaign.checkpointing import Checkpointing
 

@@ -31,14 +31,14 @@ from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.flight import (
+from sim_link.lab.lockstep import (
     Flight,
     MakeCompanion,
     Makers,
     MemoryJournal,
     Operator,
 )
-from sim_link.lab.lockstep.observer import Frame, Lane, Observer
+from sim_link.lab.observer import Frame, Lane, Observer
 
 __all__ = [
     "AUTO",

@@ -29,8 +29,8 @@ from sim_link.autopilot.incidents import (
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, ModeFlap, SecondSender
 from sim_link.lab.faults.faulty_link import Injector
-from sim_link.lab.lockstep.flight import VEHICLE_PEER
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import VEHICLE_PEER
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import LinkFaults, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = get_args(FlavourName)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.phases import IN_CONTROL, Phase
+from sim_link.autopilot.estimator import GpsParams
 from sim_link.autopilot.incidents import (
     EkfPoor,
     EstimatorVote,
@@ -13,7 +14,7 @@ from sim_link.autopilot.incidents import (
     PilotSticks,
     RcLoss,
 )
-from sim_link.autopilot.scenario import AutopilotParams, FlavourName, GpsParams, RcParams, Scenario
+from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
 from tests.loop.loop_helpers import AUTO, SELDOM, Loop, flown_once
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")

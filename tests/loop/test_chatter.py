@@ -14,7 +14,7 @@ from companion.guidance.text_gate import CAUSE_PERIOD_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import Fault, Schedule, StreamMute
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, Loop
 
 SLOW = partial(pytest.param, marks=pytest.mark.slow)

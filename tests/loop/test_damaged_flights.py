@@ -24,7 +24,7 @@ from companion.link.interface import Journal, LinkSpec
 from companion.replay.flight_replay import FlightReplay, replay_flight
 from companion.report.page import write_report
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import Flight, Makers
+from sim_link.lab.lockstep import Flight, Makers
 
 pytestmark = pytest.mark.slow
 

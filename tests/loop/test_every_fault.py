@@ -13,7 +13,7 @@ from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
 from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
 from sim_link.lab.faults.faulty_link import Injector
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.observer import Frame, Observer
 from tools.campaign.flights import Monitored, Trial, monitored_flight
 from tools.campaign.runner import run_one
 

@@ -15,9 +15,9 @@ from companion.estimation.filters.target_filter import FilterConfig
 from companion.estimation.tracker_params import EstimationConfig
 from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
-from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from sim_link.world.radio_channel import AntennaModelParams
 from tests.loop.loop_helpers import AUTO, Loop

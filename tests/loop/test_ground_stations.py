@@ -18,8 +18,8 @@ from companion.mav.endpoint import Chunk
 from companion.mav.ranging import estimate_in
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
-from sim_link.lab.lockstep.observer import frames_in
+from sim_link.lab.lockstep import Flight, Makers, MemoryJournal
+from sim_link.lab.observer import frames_in
 from tests.loop.loop_helpers import AUTO, of_system, run_until, said
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")

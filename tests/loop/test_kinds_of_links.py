@@ -15,8 +15,8 @@ from companion.mav.framing import message_id
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.addressing import LinkMode, LinkSetup
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import Flight, Makers, MemoryJournal
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, run_until, said
 
 STOPPING = msgspec.structs.replace(AUTO, link=LinkParams(stop_unread_streams=True))

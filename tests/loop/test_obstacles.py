@@ -13,7 +13,7 @@ import pytest
 
 from companion.geometry.polygons import depth_m
 from companion.guidance.phases import Phase
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
 from sim_link.world.line_of_sight import is_blocked_in_space
 from tests.loop.loop_helpers import AUTO, Loop
 

@@ -17,10 +17,10 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import ComponentName, OtherComponent, OtherVehicle, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle_types import VehicleTypeName
-from sim_link.fleet.neighbours import Neighbour
 from sim_link.lab.faults.fault_models import LinkBlackout
 from sim_link.lab.faults.faulty_link import Injector
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.observer import Frame, Observer
+from sim_link.neighbours import Neighbour
 from tests.loop.loop_helpers import SELDOM, Loop, flown_once
 
 SLOW = partial(pytest.param, marks=pytest.mark.slow)

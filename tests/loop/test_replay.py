@@ -34,7 +34,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.replay.flight_replay import replay_flight
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
+from sim_link.lab.lockstep import VEHICLE_PEER, Flight, Makers, MemoryJournal
 from sim_link.world.environment import EmitterParams
 from tools.campaign.checkpointing import Checkpointing
 

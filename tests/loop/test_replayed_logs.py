@@ -20,8 +20,8 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.lockstep.flight import MemoryJournal
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import MemoryJournal
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, SELDOM, Loop
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")

@@ -17,8 +17,8 @@ from companion.mav.signing import ONE_LINK_EACH, Signing, SigningKey, is_signed
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight, Makers, MemoryJournal
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import VEHICLE_PEER, Flight, Makers, MemoryJournal
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import AUTO, run_until
 
 KEY = SigningKey(bytes(range(1, 33)))

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from companion.domain import TargetEstimate
-from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import Scenario
 from tests.loop.loop_helpers import AUTO, Loop
 

@@ -14,7 +14,7 @@ from sim_link.lab.conformance.cli import all_rules
 from sim_link.lab.conformance.puppet import CompanionProbe, stay_silent
 from sim_link.lab.conformance.rules import Flavour, Role, Rule, RuleOutcome, try_rule
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe
-from sim_link.lab.lockstep.flight import MemoryJournal
+from sim_link.lab.lockstep import MemoryJournal
 from tests.protocol.memory_link import MemoryHub
 
 SEED = 1

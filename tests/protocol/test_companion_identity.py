@@ -8,7 +8,7 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from sim_link.lab.conformance.puppet import CompanionProbe, accept
 from sim_link.lab.conformance.rules import Flavour
-from sim_link.lab.lockstep.flight import MemoryJournal
+from sim_link.lab.lockstep import MemoryJournal
 from tests.protocol.memory_link import MemoryHub
 
 

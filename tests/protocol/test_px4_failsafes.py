@@ -6,12 +6,12 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
+from sim_link.autopilot.estimator import GpsParams
 from sim_link.autopilot.incidents import EkfJump, GpsLoss, RcLoss
 from sim_link.autopilot.scenario import (
     AutopilotParams,
     BatteryParams,
     FenceParams,
-    GpsParams,
     RcParams,
     Scenario,
 )

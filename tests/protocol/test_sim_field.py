@@ -10,7 +10,7 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.mav.dialect import MAVLink_radio_ranging_message, RangingFlag, mavlink
-from sim_link.autopilot.navigation import FixChange, NavigationParams
+from sim_link.autopilot.estimator import FixChange, NavigationParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, PayloadParams, Scenario
 from sim_link.world.environment import FieldChannelParams
 from sim_link.world.point_mass import MulticopterParams, WindParams

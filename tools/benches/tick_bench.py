@@ -38,8 +38,8 @@ from companion.mav.endpoint import Chunk
 from companion.mav.framing import message_id
 from companion.warm_up import warm_up
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.lab.lockstep.flight import Flight, Makers, MemoryJournal
-from sim_link.lab.lockstep.observer import Lane
+from sim_link.lab.lockstep import Flight, Makers, MemoryJournal
+from sim_link.lab.observer import Lane
 from sim_link.world.environment import EmitterParams
 
 ROOT = Path(__file__).resolve().parents[2]

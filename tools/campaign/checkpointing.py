@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from companion.io.state import checkpoints
 from companion.process.persistence import RestartKeeper
-from sim_link.lab.lockstep.flight import Flight
-from sim_link.lab.lockstep.observer import Observer
+from sim_link.lab.lockstep import Flight
+from sim_link.lab.observer import Observer
 
 MAX_AGE_S = 600.0
 

@@ -25,8 +25,8 @@ from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import ClockRate, ClockSlip, Incident
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
-from sim_link.lab.lockstep.observer import Observer
+from sim_link.lab.lockstep import Flight, MemoryJournal
+from sim_link.lab.observer import Observer
 from sim_link.lab.pool import open_pool
 from tools.console import OneLineParser, positive, shown
 

@@ -30,7 +30,7 @@ from companion.process.diagnostics import process_use
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.flight import VEHICLE_PEER, Flight
+from sim_link.lab.lockstep import VEHICLE_PEER, Flight
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
 from tools.campaign import flights

@@ -26,7 +26,7 @@ from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
-from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers, MemoryJournal, Operator
+from sim_link.lab.lockstep import Flight, MakeCompanion, Makers, MemoryJournal, Operator
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor
 from tools.campaign.checkpointing import Checkpointing

@@ -17,7 +17,7 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, PayloadParams, Scenario
 from sim_link.lab.faults import fault_models as faults
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.observer import Frame, Observer
 from tools.campaign import flights
 from tools.campaign.flights import Monitored, Part, Trial, TrialOutcome
 

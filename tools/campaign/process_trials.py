@@ -22,8 +22,8 @@ from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.child_processes import HOST, ChildProcess, free_udp_ports
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.mission.flight_readers import EventTail
+from sim_link.lab.observer import Frame, Observer
 from tools.campaign.checkpointing import MemoryStore
 from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_flight
 

@@ -25,7 +25,7 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.io.files import check_writable
 from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
+from sim_link.lab.lockstep import Flight, MemoryJournal
 from sim_link.lab.pool import open_pool
 from sim_link.world.environment import in_the_field
 from sim_link.world.point_mass import EulerAngles

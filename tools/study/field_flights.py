@@ -25,8 +25,8 @@ from companion.domain import FlightMode
 from companion.errors import ConfigError
 from companion.geometry.polygons import Point
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.vehicles import load_scenario
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
+from sim_link.fleet import load_scenario
+from sim_link.lab.lockstep import Flight, MemoryJournal
 from sim_link.lab.pool import Pool, sources_digest
 from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint
 from tools.study.study_run import Store, key_of

@@ -21,7 +21,7 @@ from companion.mav.signing import HASH_LENGTH, SigningKey, is_signed
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.protocols.message_streams import message_id, message_ids
 from sim_link.lab.faults import fault_models as faults
-from sim_link.lab.lockstep.observer import Delivery
+from sim_link.lab.observer import Delivery
 
 F = TypeVar("F", bound=FaultRecord)
 NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})

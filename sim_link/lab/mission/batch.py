@@ -1,11 +1,15 @@
-"""Many flights: every script with every seed, one after the other or several at once."""
+"""Many flights: every script with every seed, one after the other or several at once.
+
+Reports of mission flights: lines for many, and the HTML page of one.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,24 +17,163 @@ from pathlib import Path
 
 import msgspec
 
+from companion import __version__
 from companion.config.schema import CompanionConfig
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import build_endpoint, build_planner
-from companion.io.files import write_bytes_atomic, write_text_atomic
+from companion.geometry.polygons import Point
+from companion.io.files import plain, write_bytes_atomic, write_text_atomic
 from companion.io.links.transports import TcpClient, make_link, parse_transport
 from companion.kernel import IS_COMPILED_ON_CALL
+from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
+from companion.report.flight_summary import EventRow, event_text
+from companion.report.page import LEAST_M, FlightPage, render_page
 from companion.warm_up import warm_up as fly_in_circles
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
-from sim_link.lab.lockstep.flight import MemoryJournal
+from sim_link.lab.lockstep import MemoryJournal
 from sim_link.lab.mission.in_memory import Progress, fly_in_memory
-from sim_link.lab.mission.mavsdk_operator import check_installed
-from sim_link.lab.mission.mission_report import report_page
-from sim_link.lab.mission.processes import check_faults, vehicle_fault_of
-from sim_link.lab.mission.results import FlightRecord, MissionResult, flight_name, how_flown
+from sim_link.lab.mission.processes import check_faults, check_installed, vehicle_fault_of
+from sim_link.lab.mission.results import (
+    FlightRecord,
+    MissionResult,
+    flight_name,
+    how_flown,
+    true_places,
+)
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config, load_mission
+from sim_link.lab.monitor.monitor import TITLES
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
+
+SHOWN_EVENTS = ("step", "step ended", "fault", "phase", "text", "result", "answer", "bound")
+MAP_NOTE = (
+    "Blue: the vehicle; red: 95 % ellipses over time and the last R95; violet: where emitters "
+    "truly are; gold: waypoints; dashed grey: the area; dashed green: the companion's fence, where "
+    "it is in the picture; red areas: obstacles and keep-outs."
+)
+
+
+def report_page(result: MissionResult) -> str:
+    """Return the page as text."""
+    record, mission, last = result.record, result.mission, result.last_estimate
+    rows = [
+        ("Flown", f"{record.ended_s:.1f} s, {record.distance_m:.0f} m"),
+        ("Flown by", result.how),
+    ]
+    if last is not None:
+        whose = f" of emitter {mission.emitter.emitter_id}" if mission.emitters else ""
+        rows.append((f"Final error{whose}", f"{result.error_m(last):.2f} m"))
+        rows.append((f"R95{whose}", f"{last.r95_m:.2f} m"))
+    if record.closest_approach_m is not None:
+        rows.append(("Closest to the fence", f"{record.closest_approach_m:.1f} m"))
+    page = FlightPage(
+        kind="Mission report",
+        name=result.title,
+        verdict="passed" if result.is_passed else "failed",
+        is_passed=result.is_passed,
+        about=result.mission.about,
+        facts=[*rows, ("Script", result.file)],
+        map=flight_map(_map_layers(result)),
+        map_note=MAP_NOTE,
+        charts=_charts(result),
+        events=events_of(result.record),
+        footer=f"sim-link {__version__}",
+    )
+    return render_page(
+        page,
+        "mission.html.j2",
+        "sim_link.lab.mission",
+        result=result,
+        record=result.record,
+        invariants=invariants_of(result.record),
+    )
+
+
+def events_of(record: FlightRecord) -> list[EventRow]:
+    """Return the events that people want to read, in the order of time."""
+    rows = [
+        EventRow(time_s, kind, _phrase(kind, fields))
+        for time_s, kind, fields in record.events
+        if kind in SHOWN_EVENTS
+    ]
+    rows += [
+        EventRow(text.time_s, "autopilot", text.text)
+        for text in record.texts
+        if text.source == "autopilot"
+    ]
+    rows += [EventRow(v.time_s, "violation", f"{v.invariant}: {v.what}") for v in record.violations]
+    return sorted(rows, key=lambda row: row.time_s)
+
+
+def _phrase(kind: str, fields: Mapping[str, object]) -> str:
+    if kind == "step":
+        return f"{fields['step']} {fields['name']}: {fields['what']}"
+    if kind == "step ended":
+        return f"{fields['step']} {fields['name']} {fields['failure'] or 'done'}"
+    return event_text(kind, {name: plain(value) for name, value in fields.items()})
+
+
+def invariants_of(record: FlightRecord) -> list[tuple[str, str, int | None, str]]:
+    """Return every invariant: name, title, how often it did not hold, how far that was judged.
+
+    None: it was not judged, and why not.
+    """
+    counts = Counter(violated.invariant for violated in record.violations)
+    scope = record.scope
+    return [
+        (
+            name,
+            title,
+            counts[name] if name in scope.judged else None,
+            scope.judged.get(name) or scope.unjudged.get(name, ""),
+        )
+        for name, title in TITLES.items()
+    ]
+
+
+def _map_layers(result: MissionResult) -> MapLayers:
+    record, mission = result.record, result.mission
+    limits = mission.config.limits
+    east_m, north_m = mission.area_m
+    truth = true_places(mission)
+    return MapLayers(
+        track_enu_m=[place[:2] for _, place in record.track],
+        estimates=record.estimates,
+        waypoints_enu_m=[place for _, place, _ in record.waypoints],
+        fence_enu_m=limits.fence_enu_m,
+        keep_outs_enu_m=[*(o.corners_enu_m for o in mission.obstacles), *limits.keep_out_enu_m],
+        area_enu_m=[(0.0, 0.0), (east_m, 0.0), (east_m, north_m), (0.0, north_m)],
+        truth_enu_m={f"emitter {emitter}": place for emitter, place in truth.items()},
+    )
+
+
+def _charts(result: MissionResult) -> list[Chart | None]:
+    record, points = result.record, result.record.estimates
+    marks = [(s.started_s, f"{s.title} at {s.started_s:.1f} s") for s in record.steps]
+    over_time = TimeCharts(record.ended_s, marks)
+    radii = [(p.time_s, max(p.r95_m, LEAST_M)) for p in points]
+    errors = [(p.time_s, max(result.error_m(p), LEAST_M)) for p in points]
+    residuals: list[Point] = [
+        (p.time_s, p.range_innovation_m) for p in points if p.range_innovation_m is not None
+    ]
+    heights = [(time_s, place[2]) for time_s, place in record.track]
+    return [
+        over_time.draw(
+            "Error and R95",
+            "metres over seconds, logarithmic. Violet: true error; red: R95",
+            TimeCurve(radii, "radius"),
+            TimeCurve(errors, "truth"),
+            is_log=True,
+        ),
+        over_time.draw(
+            "Range residuals",
+            "metres over seconds: what a range was longer than expected",
+            TimeCurve(residuals, "residual", is_dotted=True),
+        ),
+        histogram("Their histogram", "how many over metres", [value for _, value in residuals]),
+        over_time.draw("Height", "metres over seconds", TimeCurve(heights, "track")),
+    ]
 
 
 @dataclass(frozen=True, slots=True)

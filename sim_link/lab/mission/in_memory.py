@@ -19,15 +19,15 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
-from sim_link.lab.lockstep.flight import Flight, MakeCompanion, Makers
-from sim_link.lab.lockstep.flight import Operator as Station
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import Flight, MakeCompanion, Makers
+from sim_link.lab.lockstep import Operator as Station
 from sim_link.lab.mission import results, steps
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.flight_readers import EventReader, rules_of
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config
 from sim_link.lab.monitor.monitor import LOCKSTEP, Monitor
+from sim_link.lab.observer import Frame, Observer
 
 SLICE_S = 0.1
 TRACK_SLICES = 2

@@ -22,7 +22,6 @@ from companion.io.files import check_writable, write_text_atomic
 from companion.kernel import IS_COMPILED_ON_CALL, has_compiled_cache
 from sim_link.lab.mission import batch
 from sim_link.lab.mission.conditions import FlightSituation
-from sim_link.lab.mission.mission_report import campaign_lines
 from sim_link.lab.mission.results import MissionResult
 from sim_link.lab.mission.steps import StepRunner
 from sim_link.lab.pool import LOCAL
@@ -340,3 +339,47 @@ def _speed(arguments: argparse.Namespace) -> float | None:
     if not 0.0 < speed <= MAX_SPEED:
         raise ConfigError(f"--speed {arguments.speed}: give lockstep, or 0 to {MAX_SPEED:g}")
     return speed
+
+
+def campaign_lines(results: list[MissionResult]) -> list[str]:
+    """Summarise a campaign in lines for people: each mission, then all of them."""
+    runs: dict[tuple[str, str], list[MissionResult]] = {}
+    for result in results:
+        runs.setdefault((result.mission.name, result.flavour), []).append(result)
+    lines = [_mission_line(each) for each in runs.values()]
+    passed = sum(result.is_passed for result in results)
+    skipped = sum(bool(result.record.skipped) for result in results)
+    flown_s, wall_s, cpu_s = _times(results)
+    speed = f", {flown_s / wall_s:.0f} times real time" if wall_s > 0.0 else ""
+    if cpu_s > 0.0:
+        speed += f" ({flown_s / cpu_s:.0f} by processor time)"
+    return [
+        *lines,
+        f"{passed} of {len(results) - skipped} flights passed"
+        f"{f', {skipped} skipped' if skipped else ''}; {flown_s:.0f} s flown in {wall_s:.1f} s "
+        f"of flying{speed}",
+    ]
+
+
+def _mission_line(runs: list[MissionResult]) -> str:
+    if runs[0].record.skipped:
+        return f"{runs[0].mission.name} ({runs[0].flavour}): {len(runs)} skipped"
+    passed = sum(run.is_passed for run in runs)
+    errors = [run.final_error_m for run in runs if run.final_error_m is not None]
+    inside = [run.is_inside_r95 for run in runs if run.is_inside_r95 is not None]
+    line = f"{runs[0].mission.name} ({runs[0].flavour}): {passed}/{len(runs)} passed"
+    if errors:
+        line += f", error at most {max(errors):.2f} m, {sum(inside)}/{len(inside)} inside R95"
+    flown_s, wall_s, cpu_s = _times(runs)
+    if wall_s > 0.0:
+        line += f", {flown_s / wall_s:.0f}x"
+    return f"{line} ({flown_s / cpu_s:.0f}x by processor time)" if cpu_s > 0.0 else line
+
+
+def _times(results: list[MissionResult]) -> tuple[float, float, float]:
+    records = [result.record for result in results]
+    return (
+        sum(record.ended_s for record in records),
+        sum(record.wall_s for record in records),
+        sum(record.cpu_s for record in records),
+    )

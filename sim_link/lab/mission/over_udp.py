@@ -29,11 +29,16 @@ from companion.io.logs.log_files import TlogWriter
 from companion.io.shell import Clock, Shell
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.mission.flight_readers import EventReader, EventTail, TelemetryReader, WireWatch
 from sim_link.lab.mission.in_memory import Progress
-from sim_link.lab.mission.mavsdk_operator import MavsdkOperator
-from sim_link.lab.mission.processes import COMPANION, RADIO, VEHICLE, Hub, ProcessHarness
+from sim_link.lab.mission.processes import (
+    COMPANION,
+    RADIO,
+    VEHICLE,
+    Hub,
+    MavsdkOperator,
+    ProcessHarness,
+)
 from sim_link.lab.mission.results import (
     FlightRecord,
     MissionResult,
@@ -44,6 +49,7 @@ from sim_link.lab.mission.results import (
 from sim_link.lab.mission.script import Mission, PilotOverrideStep
 from sim_link.lab.mission.script_file import flown_config
 from sim_link.lab.mission.steps import READY, StepRunner
+from sim_link.lab.observer import Frame, Lane
 
 SILENCE_S = 15.0
 """Real time without any frame of the vehicle after which the mission is given up."""

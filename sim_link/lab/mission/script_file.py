@@ -18,7 +18,7 @@ from companion.config.schema import CompanionConfig, inconsistency, load_config
 from companion.config.versions import renew
 from companion.errors import ConfigError
 from sim_link.autopilot.incidents import renew_scenario
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.mission.conditions import ConditionError, did_you_mean, parse_condition
 from sim_link.lab.mission.script import (

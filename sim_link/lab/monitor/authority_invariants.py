@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.scene import (
     ARDUPILOT_GUIDED,
     PX4_OFFBOARD_MAIN,
@@ -18,6 +17,7 @@ from sim_link.lab.monitor.scene import (
     SentSetpoint,
     is_offboard,
 )
+from sim_link.lab.observer import Frame
 
 EPSILON_S = 1e-6
 HERE_M = 2.0

@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
 from sim_link.autopilot.protocols.message_streams import message_ids
-from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import FENCE, INWARDS_M, Point
 from sim_link.lab.monitor.scene import Invariant, SentSetpoint, TrueScene
+from sim_link.lab.observer import Frame
 from sim_link.world.point_mass import PointMass, approach_velocity
 
 STEADY_S = 2.0

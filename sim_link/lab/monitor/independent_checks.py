@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
-from sim_link.lab.lockstep.observer import Frame
+from sim_link.lab.observer import Frame
 
 Point = tuple[float, float]
 Corners = Sequence[Point]

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 
 from companion.domain import TargetEstimate
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor.independent_checks import Point
 from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, ObservedScene, SentSetpoint
+from sim_link.lab.observer import Frame
 
 STREAM_BREAK_S = 0.35
 """A longer pause begins a new stream, which starts where the vehicle is."""

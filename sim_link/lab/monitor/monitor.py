@@ -15,8 +15,6 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.fleet.neighbours import Neighbour
-from sim_link.lab.lockstep.observer import Frame, Observer, overriding
 from sim_link.lab.monitor import (
     authority_invariants,
     fence_invariants,
@@ -32,6 +30,8 @@ from sim_link.lab.monitor.scene import (
     Rules,
     TrueScene,
 )
+from sim_link.lab.observer import Frame, Observer, overriding
+from sim_link.neighbours import Neighbour
 
 SETPOINTS = (
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,

@@ -17,9 +17,9 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.message_streams import message_ids
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.observer import Frame
 from sim_link.lab.monitor import independent_checks
 from sim_link.lab.monitor.independent_checks import FencesInForce, FlownFence, Point
+from sim_link.lab.observer import Frame
 
 Corners = tuple[tuple[float, float], ...]
 

@@ -18,7 +18,6 @@ import msgspec
 from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Frame, Observer
 from sim_link.lab.monitor import (
     authority_invariants,
     fence_invariants,
@@ -33,6 +32,7 @@ from sim_link.lab.monitor.scene import (
     SentSetpoint,
     is_offboard,
 )
+from sim_link.lab.observer import Frame, Observer
 
 WATCHED = OBSERVED_MESSAGES | {
     mavlink.MAVLINK_MSG_ID_HOME_POSITION,

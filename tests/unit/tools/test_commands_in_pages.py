@@ -17,7 +17,7 @@ from companion.flight_setup import radio_links
 from companion.io.links.transports import parse_flight_link, parse_transport
 from companion.link.interface import LinkRole
 from sim_link.emulators.catalogue import kind_of
-from sim_link.lab import radio_command
+from sim_link.lab import radio_follower
 from sim_link.lab.radio_outlets import parse_outlet
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -67,7 +67,7 @@ def test_companions_and_radios_are_called_as_they_understand_it(page: Path) -> N
             assert len(radio_links(radios)) == len(radios)
         else:
             parser = RaisingParser()
-            radio_command.add_arguments(parser)
+            radio_follower.add_arguments(parser)
             arguments = parser.parse_args(words[2:])
             assert parse_transport(arguments.follow)
             if arguments.radio is None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from companion.kernel import Matrix
-from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from sim_link.world.radio_channel import AntennaModelParams

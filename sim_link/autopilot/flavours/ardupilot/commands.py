@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
 from sim_link.autopilot.control_inputs import Setpoint
+from sim_link.autopilot.flavours.ardupilot.control import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     AUTO,
     CLIMB,
@@ -26,7 +27,6 @@ from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     RTL,
 )
 from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.ardupilot.guided import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     DENIED,

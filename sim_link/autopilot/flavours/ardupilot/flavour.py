@@ -21,7 +21,13 @@ from sim_link.autopilot.control_inputs import (
     Setpoint,
     TargetMessage,
 )
-from sim_link.autopilot.flavours.ardupilot.failsafes import CopterFailsafes, FailsafeEvent
+from sim_link.autopilot.flavours.ardupilot.control import (
+    CopterFailsafes,
+    FailsafeEvent,
+    Guided,
+    GuidedState,
+    target_from,
+)
 from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     AUTO,
     BY_WHAT_IT_DOES,
@@ -36,7 +42,6 @@ from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     CopterMode,
     available_modes,
 )
-from sim_link.autopilot.flavours.ardupilot.guided import Guided, GuidedState, target_from
 from sim_link.autopilot.flavours.base import (
     ACCEPTED,
     FAILED,

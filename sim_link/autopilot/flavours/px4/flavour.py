@@ -52,7 +52,7 @@ from sim_link.autopilot.flavours.base import (
     FenceState,
     HeartbeatState,
 )
-from sim_link.autopilot.flavours.px4.failsafes import Px4Failsafes, Reaction
+from sim_link.autopilot.flavours.px4.control import Px4Failsafes, Reaction, setpoint_from
 from sim_link.autopilot.flavours.px4.firmware_profile import (
     AUTO_FLAGS,
     BASE_MODE_FLAGS,
@@ -63,7 +63,6 @@ from sim_link.autopilot.flavours.px4.firmware_profile import (
     WITHOUT_POSITION_CONTROL,
     speed_limits,
 )
-from sim_link.autopilot.flavours.px4.offboard import setpoint_from
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore

@@ -11,7 +11,7 @@ from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from sim_link.lab.lockstep.flight import MemoryJournal
+from sim_link.lab.lockstep import MemoryJournal
 
 PEER = ("127.0.0.1", 14580)
 

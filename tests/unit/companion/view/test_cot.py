@@ -13,7 +13,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError, LinkError
 from companion.guidance.session import EmitterStatus
 from companion.view.cot import CotRule, CotView, cot_address
-from sim_link.lab.lockstep.flight import Flight
+from sim_link.lab.lockstep import Flight
 from tests.loop.loop_helpers import Loop
 
 ESTIMATE = TargetEstimate(

@@ -13,7 +13,7 @@ from companion.guidance.session_params import SessionParams
 from companion.io.files import plain
 from companion.view.snapshot import picture_of, scene_of
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal
+from sim_link.lab.lockstep import Flight, MemoryJournal
 
 CONFIG = CompanionConfig(mission=SessionParams(engage="auto"))
 

@@ -9,14 +9,14 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin
-from sim_link.autopilot.estimator import Estimator
-from sim_link.autopilot.navigation import (
+from sim_link.autopilot.estimator import (
     EstimatedMotion,
+    Estimator,
     FixChange,
+    GpsParams,
     NavigationError,
     NavigationParams,
 )
-from sim_link.autopilot.scenario import GpsParams
 from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams
 
 ORIGIN = LocalOrigin(47.4, 8.5, 488.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from sim_link.emulators.bearings import KrakenDirection, uudf_line
-from sim_link.emulators.cellular import rach_line
 from sim_link.emulators.nlink import (
     ANCHOR,
     TAG,
@@ -18,6 +17,7 @@ from sim_link.emulators.nlink import (
     node_frame3,
     node_frame5,
 )
+from sim_link.emulators.power import rach_line
 from sim_link.emulators.printed_lines import sx1280_valid
 from sim_link.emulators.uwb_binary import (
     PansAnchor,

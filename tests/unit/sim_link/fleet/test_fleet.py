@@ -15,7 +15,7 @@ from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.fleet.vehicles import Fleet, FleetOptions, link_specs, make_vehicles, numbered_path
+from sim_link.fleet import Fleet, FleetOptions, link_specs, make_vehicles, numbered_path
 from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import MulticopterParams, PointMass, WindParams
 from tests.protocol.sim_helpers import GroundStation

@@ -14,8 +14,8 @@ from companion.mav.framing import sender_of
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.neighbours import FleetAmongOthers
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
+from sim_link.neighbours import FleetAmongOthers
 
 PEER = ("127.0.0.1", 14540)
 

@@ -16,7 +16,7 @@ from companion.mav.framing import sender_of
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.vehicles import FleetFiles, FleetOptions, make_vehicles
+from sim_link.fleet import FleetFiles, FleetOptions, make_vehicles
 
 OLD, NEW = bytes(range(1, 33)), bytes(range(33, 65))
 UDP, LINE = 0, 1

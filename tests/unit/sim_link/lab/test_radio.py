@@ -13,8 +13,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.scenario import PayloadParams
-from sim_link.lab.radio_command import parse_emitter
-from sim_link.lab.radio_follower import FOLLOW, SEND, GeodeticEmitter, RadioFollower
+from sim_link.lab.radio_follower import FOLLOW, SEND, GeodeticEmitter, RadioFollower, parse_emitter
 from sim_link.world.environment import ChannelParams, Emitter, EmitterParams
 from sim_link.world.radio_channel import AntennaModelParams
 

@@ -9,7 +9,7 @@ import pytest
 from companion.errors import ConfigError
 from sim_link.autopilot.incidents import GpsLoss, VehicleReboot
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.vehicles import load_scenario
+from sim_link.fleet import load_scenario
 from sim_link.world.environment import ShadowParams
 from sim_link.world.line_of_sight import is_blocked_in_space
 

@@ -8,7 +8,7 @@ import pytest
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from sim_link.lab.faults.fault_models import KINDS
-from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.observer import Frame, Lane
 from tools.campaign.checkpointing import MemoryStore
 from tools.campaign.endurance import FrameMaker, Usage, slope_after
 from tools.campaign.flights import Trial

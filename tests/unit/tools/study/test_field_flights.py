@@ -11,7 +11,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.errors import ConfigError
-from sim_link.autopilot.navigation import NavigationParams
+from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import Scenario
 from tools.study.field_flights import flights_of, fly
 from tools.study.study import FlightGrid, FlightRow

@@ -25,7 +25,7 @@ from sim_link.lab.faults.fault_models import (
     TelemetryNonsense,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.observer import Lane
+from sim_link.lab.observer import Lane
 
 KEY = SigningKey(bytes(range(32)))
 

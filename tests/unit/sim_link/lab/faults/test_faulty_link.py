@@ -22,7 +22,7 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.observer import Delivery, Lane
+from sim_link.lab.observer import Delivery, Lane
 
 FRAME = bytes(range(100, 140))
 PERIOD_S = 0.01

@@ -33,8 +33,8 @@ from sim_link.lab.faults.fault_models import (
     SecondSender,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal, Operator
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import Flight, MemoryJournal, Operator
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import run_until
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))

@@ -20,7 +20,7 @@ from sim_link.lab.faults.fault_models import (
     LinkLoss,
     Schedule,
 )
-from sim_link.lab.faults.proxy import ATTACK, COMPANION, VEHICLE, FaultProxy
+from sim_link.lab.faults.faulty_link import ATTACK, COMPANION, VEHICLE, FaultProxy
 
 VEHICLE_PEER: Address = ("127.0.0.1", 14580)
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)

@@ -10,8 +10,8 @@ from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.flight import Flight, MemoryJournal, Operator
-from sim_link.lab.lockstep.observer import Frame, Observer
+from sim_link.lab.lockstep import Flight, MemoryJournal, Operator
+from sim_link.lab.observer import Frame, Observer
 from tests.loop.loop_helpers import reboot, run_until, take_off
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))

@@ -19,7 +19,6 @@ from sim_link.lab.faults.fault_models import (
     Schedule,
 )
 from sim_link.lab.faults.faulty_link import FaultyLink
-from sim_link.lab.lockstep.observer import Observer
 from sim_link.lab.mission.processes import (
     COMPANION,
     OPERATOR,
@@ -29,6 +28,7 @@ from sim_link.lab.mission.processes import (
     Hub,
     ProcessHarness,
 )
+from sim_link.lab.observer import Observer
 
 PEER = ("127.0.0.1", 14580)
 

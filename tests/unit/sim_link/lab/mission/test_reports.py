@@ -13,12 +13,11 @@ import pytest
 
 from companion.report.charts import MAX_POINTS, SvgPlot, square_around, thin_points
 from companion.report.flight_summary import EstimatePoint
-from sim_link.lab.mission.mission_cli import PlainProgress, junit_xml, progress_for
-from sim_link.lab.mission.mission_report import (
-    campaign_lines,
+from sim_link.lab.mission.batch import (
     invariants_of,
     report_page,
 )
+from sim_link.lab.mission.mission_cli import PlainProgress, campaign_lines, junit_xml, progress_for
 from sim_link.lab.mission.results import (
     ExpectationVerdict,
     FlightRecord,

@@ -7,10 +7,10 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.lab.lockstep.observer import Frame, Lane, Observer
 from sim_link.lab.mission.flight_readers import MACHINE_S, WireWatch
 from sim_link.lab.mission.results import FlightRecord
 from sim_link.lab.monitor.monitor import WIRE
+from sim_link.lab.observer import Frame, Lane, Observer
 
 
 class Dates(Observer):

@@ -19,7 +19,7 @@ from companion.mav.framing import message_id
 from sim_link.autopilot.incidents import BatteryCharge
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import CompanionKilled, LinkBlackout, Schedule
-from sim_link.lab.lockstep.observer import Delivery, Lane
+from sim_link.lab.observer import Delivery, Lane
 from tests.planted_companions import KeepsFlying, maker
 from tools.campaign.flights import Monitored, monitored_flight
 

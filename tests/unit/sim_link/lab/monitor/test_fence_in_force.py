@@ -10,9 +10,9 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import StationFence
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.lab.lockstep.flight import MakeCompanion
-from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.lockstep import MakeCompanion
 from sim_link.lab.monitor.independent_checks import FencesInForce, FlownFence
+from sim_link.lab.observer import Frame, Lane
 from sim_link.world.environment import EmitterParams
 from tests.planted_companions import KeepsItsFence, NeverReadsAgain, maker
 from tools.campaign.flights import Monitored, monitored_flight

@@ -10,9 +10,9 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import FewTexts
 from sim_link.lab.monitor.scene import Rules, TrueScene
+from sim_link.lab.observer import Frame, Lane
 
 RULES = Rules(fence_enu_m=((0.0, 0.0), (9.0, 0.0), (9.0, 9.0)))
 AUTOPILOT, OPERATOR, COMPANION = (1, 1), (255, 190), (1, 191)

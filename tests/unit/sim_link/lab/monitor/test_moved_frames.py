@@ -8,10 +8,10 @@ from companion.domain import PositionEnu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.monitor.authority_invariants import OnlyWithAuthority
 from sim_link.lab.monitor.message_invariants import FreshState, WithinEnvelope
 from sim_link.lab.monitor.scene import SentSetpoint, TrueScene
+from sim_link.lab.observer import Frame, Lane
 from tests.loop.loop_helpers import AUTO
 from tools.campaign.flights import Monitored, monitored_flight
 

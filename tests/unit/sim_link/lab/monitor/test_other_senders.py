@@ -21,10 +21,10 @@ from sim_link.lab.faults.fault_models import (
     SecondSender,
     UnsignedFrames,
 )
-from sim_link.lab.lockstep.flight import MakeCompanion
-from sim_link.lab.lockstep.observer import Frame, Lane
+from sim_link.lab.lockstep import MakeCompanion
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.independent_checks import SILENCE_S, SenderTrust, depth_m
+from sim_link.lab.observer import Frame, Lane
 from tests.loop.loop_helpers import said
 from tests.planted_companions import FollowsTheNextPeer
 from tools.campaign.flights import Monitored, monitored_flight

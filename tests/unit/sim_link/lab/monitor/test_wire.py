@@ -20,11 +20,11 @@ from sim_link.lab.faults.fault_models import (
     LinkBlackout,
     Schedule,
 )
-from sim_link.lab.lockstep.observer import Frame, Lane
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import LOCKSTEP, TITLES, WIRE
 from sim_link.lab.monitor.scene import InvariantViolation
 from sim_link.lab.monitor.wire_monitor import Recording, WireMonitor
+from sim_link.lab.observer import Frame, Lane
 from tests.planted_companions import DEFECTS, Planted, maker
 from tools.campaign.flights import monitored_flight
 

@@ -17,7 +17,7 @@ from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
 from companion.mav.endpoint import Address
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.fleet.neighbours import Neighbour
+from sim_link.neighbours import Neighbour
 
 Delivery = tuple[float, bytes]
 

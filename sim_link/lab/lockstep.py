@@ -34,8 +34,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import IncidentRecord, OtherVehicle, PilotMode, VehicleReboot
 from sim_link.autopilot.other_senders import PAYLOAD_ID
 from sim_link.autopilot.scenario import Scenario
-from sim_link.fleet.neighbours import COMPONENT_BYTE, Neighbour
-from sim_link.lab.lockstep.observer import (
+from sim_link.lab.observer import (
     Frame,
     Lane,
     Observers,
@@ -43,6 +42,7 @@ from sim_link.lab.lockstep.observer import (
     Wire,
     frames_in,
 )
+from sim_link.neighbours import COMPONENT_BYTE, Neighbour
 
 
 class MemoryJournal:

@@ -1,1 +1,0 @@
-"""One vehicle or several from a scenario and options: their endpoints, links and files."""

@@ -1,1 +1,0 @@
-"""A companion and a simulated vehicle joined in memory on a virtual clock."""
