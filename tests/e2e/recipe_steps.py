@@ -508,10 +508,10 @@ def test_strong_vibration_is_held_on() -> None:
             r"^\| .* \| `autopilot lost GNSS fix` .*\n",
         ),
         Edit(
-            "docs/reliability.md",
-            "| A15 | Strong vibration | "
-            "`tests/loop/test_authority.py::test_strong_vibration_is_held_on` |\n",
-            r"^\| A14 .*\n",
+            "tests/hazards.yaml",
+            'A15: {hazard: "Strong vibration", '
+            'test: "tests/loop/test_authority.py::test_strong_vibration_is_held_on"}\n',
+            r"^A14: .*\n",
         ),
     ),
 }
