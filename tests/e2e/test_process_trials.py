@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from tests.e2e.loaded_flights import FLIGHT_S, LOADS, fly_loaded
 from tools.campaign import process_trials
 from tools.campaign.flights import Trial
-from tools.campaign.load_trials import FLIGHT_S, LOADS
 from tools.campaign.runner import run_one
 
 KILLED, STOPPED = 4, 5
@@ -32,6 +32,13 @@ LOADED_S = 24.0
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LOADS)
 def test_setpoints_keep_flowing_under_a_load(name: str) -> None:
-    outcome = run_one(Trial(name, 1, LOADED_S / FLIGHT_S))
-    assert outcome.sums[f"{name}_kept"] == 1.0, outcome.story
-    assert 0.05 <= outcome.most[f"{name}_gap_s"] < 0.5, outcome.story
+    loaded = fly_loaded(name, 1, LOADED_S).loaded
+    assert loaded.is_kept, loaded.story
+    assert 0.05 <= loaded.gap_s < 0.5, loaded.story
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", LOADS)
+def test_a_whole_flight_under_a_load_finds_its_target_as_well(name: str) -> None:
+    compared = fly_loaded(name, 1, FLIGHT_S)
+    assert compared.findings == (), compared.loaded.story

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar, get_args
 
@@ -182,7 +182,12 @@ class Monitored:
     @property
     def story(self) -> tuple[str, ...]:
         """Texts that the companion sent to the operator."""
-        return tuple(f"{time_s:8.2f} s  {text}" for time_s, text in self.notes.texts)
+        return story_lines(self.notes.texts)
+
+
+def story_lines(texts: Iterable[tuple[float, str]]) -> tuple[str, ...]:
+    """Return texts to the operator with their times, for a replay."""
+    return tuple(f"{time_s:8.2f} s  {text}" for time_s, text in texts)
 
 
 def monitored_flight(

@@ -25,7 +25,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.mission.flight_readers import EventTail
 from sim_link.lab.observer import Frame, Observer
 from tools.campaign.checkpointing import MemoryStore
-from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_flight
+from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_flight, story_lines
 
 KILL_EARLIEST_S, KILL_LATEST_S = 1.0, 45.0
 KILL_AFTER_S = 12.0
@@ -312,7 +312,7 @@ def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
 
 def story_of(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     """Return the texts to the operator, with their times."""
-    return tuple(f"{e['t_s']:8.2f} s  {e['text']}" for e in events if e["kind"] == "text")
+    return story_lines((e["t_s"], e["text"]) for e in events if e["kind"] == "text")
 
 
 KILLS = Part(

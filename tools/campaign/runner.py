@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from companion.errors import ConfigError
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
-from tools.campaign import endurance, link_trials, load_trials, process_trials, random_missions
+from tools.campaign import clock_trials, endurance, link_trials, process_trials, random_missions
 from tools.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
 
 ALL = (
@@ -20,13 +20,10 @@ ALL = (
     process_trials.KILLS,
     process_trials.STOPS,
     process_trials.SIGNALS,
-    load_trials.EIGHT_EMITTERS,
-    load_trials.FAST_RADIO,
-    load_trials.BUSY_CORES,
-    load_trials.FORGED_DATAGRAMS,
     link_trials.FLOODS,
     endurance.FUZZING,
     link_trials.REACTIONS,
+    clock_trials.CLOCKS,
     endurance.SOAK,
 )
 PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
@@ -39,17 +36,14 @@ AMOUNTS_BY_PART: Mapping[str, tuple[float, float, float, float]] = {
     "kill": (6, 200, 400, 1000),
     "stop": (6, 200, 400, 1000),
     "signal": (2, 20, 200, 400),
-    "load_emitters": (0, 0, 1, 3),
-    "load_radio": (0, 0, 1, 3),
-    "load_programs": (0, 0, 1, 20),
-    "load_flood": (0, 0, 1, 3),
     "forged": (10_000, 1_000_000, 10_000_000, 10_000_000),
     "fuzz": (5_000, 1_000_000, 10_000_000, 100_000_000),
     "reaction": (6, 100, 500, 2000),
+    "clocks": (0, 0, 400, 400),
     "soak": (0.02, 0.2, 24.0, 24.0),
 }
 """Amount of each part in a campaign of each size: missions; take-overs; hours at each loss; kills;
-stops; signals; flights under each load; frames; cuts; hours."""
+stops; signals; frames; frames; cuts; flights; hours."""
 AMOUNTS: Mapping[str, Mapping[str, float]] = {
     size: {name: amounts[index] for name, amounts in AMOUNTS_BY_PART.items()}
     for index, size in enumerate(SIZES)

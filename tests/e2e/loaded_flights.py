@@ -1,4 +1,4 @@
-"""Trials of a busy computer: real processes at real time, one flight without and one with a load.
+"""Flights on a busy computer: real processes at real time, one without and one with a load.
 
 The longest gap of the setpoint stream is the one that the simulator saw, between two setpoints that
 came in OFFBOARD. It is as busy as the companion, whose own lateness of a tick stands beside it.
@@ -30,11 +30,10 @@ from companion.mav.signing import KEY_LENGTH, LinkSigning, Signing, SigningKey, 
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.world.environment import Emitter, EmitterParams, FieldChannelParams
 from sim_link.world.field_radio import FieldRadio
-from tools.campaign.flights import Part, Trial, TrialOutcome
 from tools.campaign.process_trials import ProcessFlight, story_of
 
 FLIGHT_S = 120.0
-"""A trial of size 1; of half that a search has found its target."""
+"""Of half that a search has found its target."""
 PLACES_ENU_M = ((50, 50), (80, 20), (20, 80), (80, 80), (60, 15), (15, 60), (90, 50), (50, 90))
 EMITTERS = tuple(EmitterParams(number, place) for number, place in enumerate(PLACES_ENU_M, start=1))
 RADIO_HZ, FLOOD_HZ = 1_000.0, 20_000.0
@@ -140,10 +139,10 @@ class Load:
 
 
 LOADS = {
-    "load_emitters": Load(emitters=len(EMITTERS)),
-    "load_radio": Load(rate_hz=RADIO_HZ, source=_radio),
-    "load_programs": Load(programs_per_core=PROGRAMS_PER_CORE, most_gap_s=MOST_BUSY_GAP_S),
-    "load_flood": Load(rate_hz=FLOOD_HZ, source=_forger, is_signed=True),
+    "emitters": Load(emitters=len(EMITTERS)),
+    "radio": Load(rate_hz=RADIO_HZ, source=_radio),
+    "programs": Load(programs_per_core=PROGRAMS_PER_CORE, most_gap_s=MOST_BUSY_GAP_S),
+    "flood": Load(rate_hz=FLOOD_HZ, source=_forger, is_signed=True),
 }
 
 
@@ -210,11 +209,20 @@ def _start(folder: Path, seed: int, load: Load, telemetry_port: int) -> ProcessF
     return ProcessFlight(folder, "px4", 1.0, values, scenario, options)
 
 
-def fly_loaded(trial: Trial) -> TrialOutcome:
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A flight under a load beside one without it."""
+
+    quiet: Flown
+    loaded: Flown
+    findings: tuple[str, ...]
+
+
+def fly_loaded(name: str, seed: int, duration_s: float) -> Compared:
     """Fly without and with the load, and compare."""
-    load, duration_s = LOADS[trial.part], trial.size * FLIGHT_S
-    quiet = _fly(trial.seed, Load(is_signed=load.is_signed), duration_s)
-    loaded = _fly(trial.seed, load, duration_s)
+    load = LOADS[name]
+    quiet = _fly(seed, Load(is_signed=load.is_signed), duration_s)
+    loaded = _fly(seed, load, duration_s)
     findings = [] if loaded.is_kept else ["OFFBOARD was lost, or never entered"]
     most_s = load.most_gap_s or quiet.gap_s + MOST_BEYOND_QUIET_S
     if loaded.gap_s > most_s:
@@ -223,25 +231,4 @@ def fly_loaded(trial: Trial) -> TrialOutcome:
         findings.append(f"R95 {loaded.r95_m:.3f} m; {quiet.r95_m:.3f} m in quiet")
     if loaded.error_m > loaded.r95_m:
         findings.append(f"estimate off by {loaded.error_m:.3f} m, R95 {loaded.r95_m:.3f} m")
-    figures = {
-        f"{trial.part}_{name}{suffix}": value
-        for flown, suffix in ((quiet, "_quiet"), (loaded, ""))
-        for name, value in (
-            ("gap_s", flown.gap_s),
-            ("late_s", flown.late_s),
-            ("error_m", flown.error_m),
-            ("r95_m", flown.r95_m),
-        )
-    }
-    kept = {f"{trial.part}_kept": float(loaded.is_kept), f"{trial.part}_flights": 1.0}
-    return TrialOutcome(trial, tuple(findings), kept, figures, story=loaded.story)
-
-
-def _part(name: str, title: str) -> Part:
-    return Part(name, f"real processes: {title}", run=fly_loaded, cost_s=2.0 * FLIGHT_S)
-
-
-EIGHT_EMITTERS = _part("load_emitters", "8 emitters at 10 Hz, without and with")
-FAST_RADIO = _part("load_radio", "a MAVLink radio at 1 kHz")
-BUSY_CORES = _part("load_programs", "every core kept busy by other programs")
-FORGED_DATAGRAMS = _part("load_flood", "20,000 forged datagrams a second on a signed link")
+    return Compared(quiet, loaded, tuple(findings))
