@@ -24,10 +24,16 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
 from companion.handoff import DECIMALS, NAMESPACE, add_text, feature, utc_text, xml_text
 from companion.search.detection_model import DetectionModel
-from companion.search.outlines import gaps_of, outlines
 from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import SearchState
-from companion.search.searched_flight import GOOD_POD, SearchedFlight, reach_source, statement
+from companion.search.searched_flight import (
+    GOOD_POD,
+    SearchedFlight,
+    gaps_of,
+    outlines,
+    reach_source,
+    statement,
+)
 
 RECORD, GEOJSON, KML = "searched_area.json", "searched_area.geojson", "searched_area.kml"
 PNG, GPX, TEXT = "searched_area.png", "searched_area.gpx", "searched_area.txt"

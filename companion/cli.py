@@ -85,7 +85,7 @@ def _report() -> Command:
 
 
 def _area() -> Command:
-    from companion.report.searched_area import run
+    from companion.report.flight_summary import run
 
     return run
 

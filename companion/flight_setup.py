@@ -33,11 +33,10 @@ from companion.guard.gate import Guard
 from companion.guidance.emitters import EmitterQueue
 from companion.guidance.flight.searching import Searching
 from companion.guidance.session import GuidanceSession
+from companion.io.checkpoints import kept_offsets, radio_key
 from companion.io.files import FLIGHT, write_bytes_atomic
-from companion.io.links.radio_lines import radio_link
-from companion.io.links.transports import FlightLink, parse_flight_link
-from companion.io.state.radio_offsets import kept_offsets, radio_key
-from companion.io.state.vehicle_lock import state_directory
+from companion.io.links.transports import FlightLink, parse_flight_link, radio_link
+from companion.io.vehicle_lock import state_directory
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity

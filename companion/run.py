@@ -32,29 +32,38 @@ from companion.flight_setup import (
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import IN_CONTROL, Phase
+from companion.io.checkpoints import CheckpointStore
 from companion.io.files import MCAP, delete_old_flights, new_flight_directory
+from companion.io.flight_recorder import BlackBox, FlightJournal
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link
-from companion.io.logs.flight_recorder import BlackBox, FlightJournal
-from companion.io.logs.mcap_file import McapLog
+from companion.io.mcap_file import McapLog
 from companion.io.shell import Clock, Shell
-from companion.io.state.checkpoints import CheckpointStore
-from companion.io.state.signing_keys import SigningKeeper, load_signing_key, open_signing_keeper
-from companion.io.state.vehicle_lock import VehicleLock, lock_name, place_of, state_directory
+from companion.io.vehicle_lock import (
+    SigningKeeper,
+    VehicleLock,
+    load_signing_key,
+    lock_name,
+    open_signing_keeper,
+    place_of,
+    state_directory,
+)
 from companion.kernel import IS_COMPILED, IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
-from companion.process.diagnostics import LinkWatch, ProcessDiagnostics, ProcessParts
-from companion.process.persistence import ParameterKeeper, RestartKeeper, SearchKeeper
-from companion.process.watchdog import (
+from companion.process.diagnostics import (
     HOW_TO_ALLOW,
     NORMAL_PRIORITY,
     STOPPING,
+    LinkWatch,
+    ProcessDiagnostics,
+    ProcessParts,
     Supervisor,
     Watchdog,
     raised_priority,
 )
+from companion.process.persistence import ParameterKeeper, RestartKeeper, SearchKeeper
 
 log = logging.getLogger("companion.run")
 

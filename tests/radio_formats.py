@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.interface import RadioSettings, RadioSetup
 from companion.radios.catalogue import radio_kind
 from sim_link.emulators.catalogue import EMULATORS
 from sim_link.emulators.emulator import Emulator

@@ -42,14 +42,17 @@ from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport, check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
-from companion.io.state.signing_keys import load_signing_key
-from companion.io.state.vehicle_lock import VehicleLock, state_directory
+from companion.io.vehicle_lock import VehicleLock, load_signing_key, state_directory
 from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.interface import LinkRole
 from companion.link.outlet import COMPONENT_ID
-from companion.process.diagnostics import process_use
-from companion.process.watchdog import HOW_TO_ALLOW, NORMAL_PRIORITY, raised_priority
+from companion.process.diagnostics import (
+    HOW_TO_ALLOW,
+    NORMAL_PRIORITY,
+    process_use,
+    raised_priority,
+)
 from companion.run import link_name, open_signing
 
 MEGABYTE = 1_000_000

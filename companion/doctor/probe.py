@@ -33,7 +33,7 @@ from companion.errors import CompanionError
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.flight.vehicle import mode_name
-from companion.io.links.radio_lines import radio_link
+from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound
 from companion.link.autopilot_fence import FenceDownload, hears_transmitter
@@ -46,9 +46,9 @@ from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.inbound import origin_of
 from companion.link.intake import Authenticity, FloodBudget
+from companion.link.interface import RadioSetup
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import RadioStatus, RadioWatch, SequenceMonitor
-from companion.link.radio_settings import RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink

@@ -32,7 +32,7 @@ from companion.estimation.window.map_kernels import AXES, VALUES
 from companion.geometry.coordinates import wrap_pi
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
-from companion.search.first_contact import SearchPrior
+from companion.search.searched_area import SearchPrior
 
 AMBIGUOUS_PROBABILITY = 0.05
 """Probability of a second hypothesis from which the estimate is ambiguous."""

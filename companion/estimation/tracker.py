@@ -56,7 +56,7 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, shared_sigmas
-from companion.search.first_contact import SearchPrior
+from companion.search.searched_area import SearchPrior
 
 
 @dataclass(frozen=True, slots=True)

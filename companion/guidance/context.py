@@ -20,8 +20,6 @@ from typing import Any
 from companion.domain import FlightMode, LandedState, TargetEstimate
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
-from companion.guidance.authority.control_authority import Authority
-from companion.guidance.authority.launch import Launch
 from companion.guidance.commands import (
     Announce,
     Command,
@@ -32,12 +30,14 @@ from companion.guidance.commands import (
     Topic,
     WithdrawRequest,
 )
+from companion.guidance.control_authority import Authority
 from companion.guidance.emitters import EmitterQueue
 from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.searching import Searching
 from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.launch import Launch
 from companion.guidance.messages import RateLimited, StateMessages
 from companion.guidance.phases import (
     HAS_VEHICLE,
@@ -49,7 +49,7 @@ from companion.guidance.phases import (
 )
 from companion.guidance.session_params import SessionParams, Tuning
 from companion.planning.planner import Planner
-from companion.search.first_contact import SearchPrior
+from companion.search.searched_area import SearchPrior
 
 ERROR_HOLD_S = 1.0
 """Duration of the hold after an internal error."""

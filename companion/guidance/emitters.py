@@ -24,7 +24,7 @@ from companion.estimation.stepwise import Steps
 from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
-from companion.search.first_contact import SearchPrior
+from companion.search.searched_area import SearchPrior
 
 Order = Literal["first", "nearest", "strongest", "listed"]
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]

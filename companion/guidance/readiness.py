@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.domain import Autopilot, LandedState, VehicleClass
-from companion.guidance.authority.control_authority import Authority
 from companion.guidance.context import SessionContext
+from companion.guidance.control_authority import Authority
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import (
     LANDED_PATIENCE_S,

@@ -1,7 +1,17 @@
-"""Interface of the endpoint: roles of links, parameters, journal, recorder."""
+"""Interface of the endpoint: roles of links, parameters, journal, recorder.
+
+Settings of one radio: how its readings become measurements, and the ids of its emitters.
+
+The mount is configured in one place for each kind of antenna. A direction finder's angle about its
+upright is turned by `bearing_mount_deg` here, and is then a bearing from the vehicle's nose. An
+array's angle (`AngleFrame.ARRAY`) is no angle about any upright, cannot be turned by addition, and
+is passed unchanged: its mount is `estimation.filter.antenna.mount_deg`.
+"""
 
 from __future__ import annotations
 
+import re
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -9,11 +19,185 @@ from typing import Annotated, ClassVar, Literal, Protocol
 
 import msgspec
 
-from companion.domain import Params
+from companion.domain import NonNegative, Params, Positive, Signed
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.events import Event
-from companion.link.radio_settings import RadioSetup
+from companion.link.ranging_sources import RATE_MAX_HZ
 from companion.mav.endpoint import Address
+from companion.radios.decoder import RadioKind
+
+EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Sign = Literal[1, -1]
+MOST_EMITTERS = 256
+"""Limit of names of a stream; forged input can invent any number."""
+LAST_ID = 65_535
+_MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|(?:[0-9a-f]{4}){1,4}", re.I)
+_NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
+
+
+class RadioSettings(Params, frozen=True):
+    """Settings that turn the readings of one radio into measurements."""
+
+    emitters: dict[str, EmitterId] = msgspec.field(default_factory=dict)
+    """Ids by the name on the wire; MAC addresses in any case."""
+    emitter: EmitterId = 1
+    """Id of readings without an emitter."""
+    unnamed: Literal["number", "refuse"] = "number"
+    """Treatment of an emitter that is not in `emitters`: a permanent id, or refusal."""
+    frequency_tolerance_khz: Positive | None = None
+    """Names are frequencies in MHz and match within this; null: names are names."""
+
+    range_offset_m: Signed = 0.0
+    """Offset of ranges: range = (reported - range_offset_m) / range_scale."""
+    range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
+    range_min_m: Signed = 0.0
+    """A shorter corrected range is refused."""
+    range_max_m: Positive | None = None
+    """A longer corrected range is refused; null: by `AcceptanceParams`, 2 km."""
+    zero: Literal["refuse", "accept"] = "refuse"
+    """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
+    range_sigma_m: Positive | None = None
+    """Sigma where the radio reports none, and the lower limit of a reported one; null: the
+    estimation's."""
+
+    power_offset_db: Signed = 0.0
+    """Added to received powers: gains of antennas, or the level to which the radio relates them."""
+
+    bearing_sign: Sign = 1
+    """-1 where the device counts counter-clockwise."""
+    bearing_mount_deg: Degrees = 0.0
+    """Zero of the device, clockwise from the vehicle's nose; not for arrays, see above."""
+    elevation_sign: Sign = 1
+    field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] = 360.0
+    """Full angle about the device's zero within which its angles are used."""
+    bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
+    elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
+
+    quality_min: Share = 0.0
+    """A reading of lower quality is refused."""
+    sigma_factors: tuple[tuple[Share, Positive], ...] = ()
+    """[quality, factor] pairs, ascending: from that quality on sigmas are multiplied by the
+    factor."""
+
+    clock: Literal["device", "arrival"] = "device"
+    """Clock of a reading's time, where the device has one."""
+    clock_wrap_s: Positive | None = None
+    """Period after which the device's clock wraps to zero; null: that of the radio's kind."""
+    lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
+    """Delay of that time after the measurement."""
+    max_age_s: Positive | None = None
+    """An older reading is refused; null: by `AcceptanceParams`, 1 s."""
+    rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
+    """Limit of measurements per second of one emitter, because each costs milliseconds; null:
+    none."""
+    stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    """Equal ranges in a row after which further ones are refused; null: only while the vehicle
+    moves."""
+    poll_s: Annotated[float, msgspec.Meta(ge=0.02, le=60.0)] | None = None
+    """Poll interval of a polled radio; null: that of its kind."""
+    timeout_s: NonNegative = 5.0
+    """Silence after which the operator is warned; 0: never."""
+
+    def __post_init__(self) -> None:
+        if self.range_max_m is not None and self.range_max_m <= self.range_min_m:
+            raise ValueError("range_max_m: must be above range_min_m")
+        qualities = [quality for quality, _ in self.sigma_factors]
+        if qualities != sorted(set(qualities)):
+            raise ValueError("sigma_factors: qualities must ascend")
+        EmitterNames(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RadioSetup:
+    """Selected radio: its kind and settings."""
+
+    kind: RadioKind
+    settings: RadioSettings
+    options: Params | None = None
+    """Options of the decoder; None: its defaults."""
+    is_uncalibrated: bool = False
+    """True if its ranges have a constant that must be calibrated, and is not."""
+
+
+class EmitterNames:
+    """Ids of emitters, by their names on the wire.
+
+    A name without an id gets one that depends only on the name, so that it is the same after a
+    restart and on every radio.
+    """
+
+    def __init__(self, settings: RadioSettings) -> None:
+        self.news: list[str] = []
+        """Texts for the operator, cleared by the reader."""
+        self._settings = settings
+        self._tolerance_mhz = 1e-3 * (settings.frequency_tolerance_khz or 0.0)
+        self._ids: dict[str | float, int] = {}
+        self._known: dict[str | int | None, int | None] = {None: settings.emitter}
+        for name, number in settings.emitters.items():
+            key = self._key(name)
+            if key is None:
+                raise ValueError(f"emitters: `{name}` is no frequency in MHz")
+            if key in self._ids:
+                raise ValueError(f"emitters: `{name}` is given twice")
+            self._ids[key] = number
+
+    def id_of(self, emitter: str | int | None) -> int | None:
+        """Return the id; None: it has none, and gets none."""
+        try:
+            return self._known[emitter]
+        except KeyError:
+            pass
+        number = self._find(emitter)
+        if len(self._known) < MOST_EMITTERS:
+            self._known[emitter] = number
+        return number
+
+    def _key(self, emitter: str | int) -> str | float | None:
+        """Return a normalised name; None: it is no frequency where only those are names."""
+        if self._tolerance_mhz:
+            try:
+                return float(emitter)
+            except ValueError:
+                return None
+        text = str(emitter).strip()
+        if _NUMBER.fullmatch(text):
+            return str(int(text, 0))
+        return text.lower().replace("-", ":") if _MAC.fullmatch(text) else text
+
+    def _find(self, emitter: str | int | None) -> int | None:
+        assert emitter is not None  # known from the start
+        key = self._key(emitter)
+        if isinstance(key, float):
+            key = self._nearest(key)
+        if key is None or key in self._ids:
+            return None if key is None else self._ids[key]
+        is_number = isinstance(key, str) and key.isdigit() and int(key) <= LAST_ID
+        if self._settings.unnamed == "refuse" or len(self._ids) >= MOST_EMITTERS:
+            return None
+        number = self._ids[key] = int(key) if is_number else self._new_id(str(key))
+        if not is_number:
+            self.news.append(f"emitter `{printable(emitter)}` has the id {number}")
+        return number
+
+    def _nearest(self, mhz: float) -> float:
+        """Return the nearest known frequency, if within tolerance; else this one."""
+        frequencies = [known for known in self._ids if isinstance(known, float)]
+        nearest = min(frequencies, key=lambda known: abs(known - mhz), default=mhz)
+        return nearest if abs(nearest - mhz) <= self._tolerance_mhz else mhz
+
+    def _new_id(self, name: str) -> int:
+        number = 1 + zlib.crc32(name.encode()) % LAST_ID
+        taken = set(self._ids.values())
+        while number in taken:
+            number = 1 + number % LAST_ID
+        return number
+
+
+def printable(emitter: str | int | None) -> str:
+    """Return a name on the wire for texts, shortened and without control characters."""
+    return "".join(c if c.isprintable() else "?" for c in str(emitter)[:40])
 
 
 class LinkRole(Enum):

@@ -19,8 +19,8 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from companion.guidance.authority.control_authority import ID_CONFLICT_S
 from companion.guidance.commands import Announce, Severity
+from companion.guidance.control_authority import ID_CONFLICT_S
 from companion.guidance.text_gate import TextGate
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding

@@ -19,7 +19,7 @@ from companion.domain import (
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
-from companion.link.radio_settings import MOST_EMITTERS, EmitterNames, RadioSetup, printable
+from companion.link.interface import MOST_EMITTERS, EmitterNames, RadioSetup, printable
 from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.fields import is_overflow_m
 

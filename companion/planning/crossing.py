@@ -36,21 +36,6 @@ from typing import ClassVar
 
 from companion.domain import Distance, NonNegative, Params, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
-from companion.planning.crossing_kernels import (
-    GOLDEN_ANGLE_RAD,
-    KEPT,
-    NO_LATCH,
-    Latch,
-    LatchRule,
-    altitude_offset_m,
-    direction,
-    latch_verdict,
-    new_latch,
-    next_direction,
-    overshoot_m,
-    turned,
-    worst_sigma_m,
-)
 from companion.planning.planner import (
     Plan,
     PlanRequest,
@@ -62,7 +47,26 @@ from companion.planning.planner import (
     route_to,
     way_finder,
 )
-from companion.planning.views import Antenna, LegView, best_reach_m, leg_over, rate
+from companion.planning.views import (
+    GOLDEN_ANGLE_RAD,
+    KEPT,
+    NO_LATCH,
+    Antenna,
+    Latch,
+    LatchRule,
+    LegView,
+    altitude_offset_m,
+    best_reach_m,
+    direction,
+    latch_verdict,
+    leg_over,
+    new_latch,
+    next_direction,
+    overshoot_m,
+    rate,
+    turned,
+    worst_sigma_m,
+)
 
 DIRECTIONS_TRIED = 5
 """Directions tried before a crossing cut short by the fence is accepted."""

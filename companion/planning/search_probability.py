@@ -37,9 +37,9 @@ from companion.planning.search_tracks import (
     lanes_over,
     sector_search,
 )
-from companion.search.outlines import pieces_of, place_name
 from companion.search.outlook import LegTable, Outlook
 from companion.search.search_grid import Bools, Floats
+from companion.search.searched_flight import pieces_of, place_name
 
 FORECASTS_AT_ONCE = 6
 """Forecasts of a leg in one request: some 2 ms in plain Python, of a control tick's 50 ms."""

@@ -3,28 +3,54 @@
 Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
 far as the standard library provides them. A link that refuses frames is reported; a refused frame
 is not sent again: the next control tick sends a newer one.
+
+Service manager notification (`sd_notify`), its watchdog, and priority of the flying thread.
+
+The manager is notified that the process is ready, alive or stopping, and of its status: datagrams
+of `KEY=VALUE` lines to the socket named by NOTIFY_SOCKET, a path or, with a leading `@`, a name in
+the abstract namespace. Nothing is sent if the variable is not set. The socket never blocks: a
+manager that does not read loses notifications and costs no time.
+
+The watchdog is fed only when every part of the process responded: the control tick (it ran since
+the last feed; this code itself runs on its thread), the writers of logs and checkpoints (their
+threads are alive; a disk that hangs is no reason to kill a flight), and the links (open).
+
+Source: sd_notify(3), sd_watchdog_enabled(3); of the rule: NASA F Prime, Svc/Health, HTH-007.
+
+Real-time priority, even the lowest, goes before every program of normal
+priority, so that none of them makes a setpoint late. Only the main thread gets it: a thread or
+process that it starts begins with normal priority (SCHED_RESET_ON_FORK), so that log writers, the
+threads of numba and the live map do not compete with it. A computation that does not end would keep
+the shell and the network from that core; after `LONGEST_RUN_S` without a wait the kernel sends
+SIGXCPU, and the thread goes on with normal priority.
+
+Source: Linux sched(7) and getrlimit(2).
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import resource
+import signal
+import socket
+import sys
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.io.background_output import BackgroundReplacer
+from companion.io.checkpoints import CheckpointStore
+from companion.io.flight_recorder import BlackBox
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link
-from companion.io.logs.flight_recorder import BlackBox
 from companion.io.shell import TimerStatistics
-from companion.io.state.checkpoints import CheckpointStore
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import RateLimit
 from companion.link.interface import Journal
@@ -213,3 +239,190 @@ class LinkWatch:
         if lost:
             parts.append(f"{lost} frames dropped, the link is too slow")
         self._journal.text(Severity.WARNING, f"{link.name}: {'; '.join(parts)}", now_s)
+
+
+MICROSECONDS = 1e6
+MAX_STATUS = 200
+READY, ALIVE, STOPPING = "READY=1", "WATCHDOG=1", "STOPPING=1"
+
+
+class Supervisor:
+    """Connection to the service manager, if there is one."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self.failed = 0
+        """Notifications that could not be sent."""
+        self.watchdog_s = _watchdog_s(environment)
+        """The manager restarts the process after silence this long; None: no watchdog."""
+        self._address = _address(environment.get("NOTIFY_SOCKET", ""))
+        self._socket: socket.socket | None = None
+        if self._address is not None:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.setblocking(False)
+
+    @property
+    def is_there(self) -> bool:
+        """Return True if there is a service manager to notify."""
+        return self._socket is not None
+
+    def status(self, text: str) -> None:
+        """Set the status line of `systemctl status`."""
+        self.say(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
+
+    def close(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def say(self, words: str) -> None:
+        """Notify the manager, if it reads."""
+        if self._socket is None or self._address is None:
+            return
+        try:
+            self._socket.sendto(words.encode("utf-8", errors="replace"), self._address)
+        except OSError:
+            self.failed += 1
+
+
+def _address(text: str) -> bytes | None:
+    if text.startswith("@") and len(text) > 1:
+        return b"\0" + os.fsencode(text[1:])
+    return os.fsencode(text) if text.startswith("/") else None
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    """Return WATCHDOG_USEC in seconds, if it is meant for this process."""
+    microseconds, process = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID")
+    if not (microseconds.isascii() and microseconds.isdigit() and int(microseconds) > 0):
+        return None
+    if process is not None and process != str(os.getpid()):
+        return None
+    return int(microseconds) / MICROSECONDS
+
+
+FEEDS_PER_TIMEOUT = 4.0
+"""Times that the watchdog is fed within the manager's timeout."""
+STATUS_PERIOD_S = 1.0
+
+
+class Watchdog:
+    """Feeds the manager's watchdog and reports the status."""
+
+    def __init__(
+        self, supervisor: Supervisor, endpoint: CompanionEndpoint, parts: ProcessParts
+    ) -> None:
+        self._supervisor = supervisor
+        self._endpoint = endpoint
+        self._parts = parts
+        self._timing = parts.timing
+        self._is_ready = False
+        self._ticks = 0
+        self._next_feed_s = 0.0
+        self._next_status_s = 0.0
+        self._status = ""
+
+    def run(self, now_s: float, wall_s: float) -> None:
+        """Send what is due; `wall_s` is monotonic."""
+        if not self._supervisor.is_there or self._timing.fired == 0:
+            return
+        if not self._is_ready:
+            self._is_ready = True
+            self._supervisor.say(READY)
+        if wall_s < min(self._next_feed_s, self._next_status_s):
+            return
+        missing = self.missing()
+        if wall_s >= self._next_feed_s and missing is None:
+            timeout_s = self._supervisor.watchdog_s or STATUS_PERIOD_S
+            self._next_feed_s = wall_s + timeout_s / FEEDS_PER_TIMEOUT
+            self._ticks = self._timing.fired
+            self._supervisor.say(ALIVE)
+        if wall_s >= self._next_status_s:
+            self._next_status_s = wall_s + STATUS_PERIOD_S
+            status = self._endpoint.session.status(now_s)
+            text = f"{status.phase.value}: {status.detail}" if status.detail else status.phase.value
+            if missing is not None and missing != "the control tick":
+                text = f"does not answer: {missing}; {text}"
+            if text != self._status:
+                self._status = text
+                self._supervisor.status(text)
+
+    def missing(self) -> str | None:
+        """Return the part that did not respond since the last feed, in words, or None."""
+        if self._timing.fired == self._ticks:
+            return "the control tick"
+        if not self._parts.journal.health.is_alive:
+            return "a writer of the log"
+        writer = self._parts.checkpoint_writer
+        if writer is not None and not writer.health.is_alive:
+            return "the writer of checkpoints"
+        closed = next((link.name for link in self._parts.links if not link.is_open), None)
+        return None if closed is None else f"link {closed}"
+
+
+LOWEST_REAL_TIME = 1
+NICENESS = -10
+LONGEST_RUN_S = 1.0
+"""Processor time. A loop that is due every 50 ms has stalled by then, whatever its priority."""
+RLIMIT_RTTIME = 15
+"""Microseconds of processor time between two waits; Python's `resource` has no name for it."""
+NORMAL_PRIORITY = "normal priority: on a busy computer setpoints may come late"
+HOW_TO_ALLOW = "run it as the service, or type before: sudo prlimit --pid $$ --rtprio=1"
+
+log = logging.getLogger("companion.process")
+
+
+@contextmanager
+def raised_priority() -> Iterator[str | None]:
+    """Give the main thread the highest priority that the system grants, until the end.
+
+    Yields:
+        A description of it; None where it is that of any other program.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    if not (is_main and sys.platform.startswith("linux")):
+        yield None
+        return
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    limits, handler = resource.getrlimit(RLIMIT_RTTIME), signal.getsignal(signal.SIGXCPU)
+    _become_nice()
+    _become_real_time()
+    try:
+        yield _description()
+    finally:
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+        with suppress(OSError, ValueError):
+            os.sched_setscheduler(0, policy, parameters)
+            resource.setrlimit(RLIMIT_RTTIME, limits)
+        signal.signal(signal.SIGXCPU, handler)
+
+
+def _become_nice() -> None:
+    """Take the lowest niceness that is allowed; it counts where real-time priority is refused."""
+    for niceness in range(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)):
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, niceness)
+            return
+
+
+def _become_real_time() -> None:
+    signal.signal(signal.SIGXCPU, _become_normal)
+    with suppress(OSError, ValueError):
+        _, most = resource.getrlimit(RLIMIT_RTTIME)
+        resource.setrlimit(RLIMIT_RTTIME, (round(1e6 * LONGEST_RUN_S), most))
+        priority = max(LOWEST_REAL_TIME, os.sched_getparam(0).sched_priority)
+        policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+
+
+def _become_normal(*_: object) -> None:
+    os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+    log.warning("computed for %g s without a wait: %s", LONGEST_RUN_S, NORMAL_PRIORITY)
+
+
+def _description() -> str | None:
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_RR, os.SCHED_FIFO):
+        return f"real-time priority {os.sched_getparam(0).sched_priority}"
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    return f"nice {niceness}" if niceness < 0 else None

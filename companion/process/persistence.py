@@ -39,9 +39,7 @@ from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExi
 from companion.guidance.flight.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
 from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterThread
-from companion.io.files import write_bytes_atomic
-from companion.io.logs.flight_recorder import FlightJournal
-from companion.io.state.checkpoints import (
+from companion.io.checkpoints import (
     Checkpoint,
     MissionKey,
     Moment,
@@ -49,6 +47,8 @@ from companion.io.state.checkpoints import (
     age_s,
     present_moment,
 )
+from companion.io.files import write_bytes_atomic
+from companion.io.flight_recorder import FlightJournal
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import SearchedFlight, searched_again, statement

@@ -27,6 +27,7 @@ from companion.domain import PositionEnu, RangingMeasurement
 from companion.errors import ConfigError
 from companion.flight_setup import radio_links
 from companion.geometry.coordinates import LocalOrigin
+from companion.io.checkpoints import KeptOffset, keep_offset, radio_key
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.radio_recording import (
@@ -36,10 +37,8 @@ from companion.io.radio_recording import (
     read_radio_recording,
 )
 from companion.io.shell import Clock, Shell
-from companion.io.state.radio_offsets import KeptOffset, keep_offset, radio_key
-from companion.io.state.vehicle_lock import state_directory
-from companion.link.interface import LinkRole
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.io.vehicle_lock import state_directory
+from companion.link.interface import LinkRole, RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools.calibration import CalibrationRun, RunWindow, calibrate

@@ -19,7 +19,7 @@ import msgspec
 
 from companion.config.radios import RadioConfig, radio_setup
 from companion.errors import CompanionError
-from companion.io.links.radio_lines import radio_link
+from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radios.catalogue import BUILT_IN, radio_kind

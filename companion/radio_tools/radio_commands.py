@@ -26,9 +26,8 @@ from companion.geometry.coordinates import bearing_ned_from_enu, wrap_pi
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
 from companion.link.intake import FloodBudget
-from companion.link.interface import LinkRole
+from companion.link.interface import LinkRole, RadioSetup
 from companion.link.quality import RadioWatch
-from companion.link.radio_settings import RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools import calibrate

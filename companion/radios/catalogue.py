@@ -16,12 +16,12 @@ GROUP = "companion.radios"
 """The entry-point group of plugins: the radio's name to `module:ATTRIBUTE` of its `RadioKind`."""
 
 BUILT_IN: Mapping[str, str] = {
-    "ndjson": "companion.radios.ndjson:NDJSON",
+    "ndjson": "companion.radios.lora_gateways:NDJSON",
     "nlink": "companion.radios.nlink:NLINK",
     "fira_uci": "companion.radios.fira:FIRA_UCI",
     "sr150": "companion.radios.fira:SR150",
-    "pans": "companion.radios.pans:PANS",
-    "pans_tlv": "companion.radios.pans:PANS_TLV",
+    "pans": "companion.radios.fira:PANS",
+    "pans_tlv": "companion.radios.fira:PANS_TLV",
     "qorvo_cli": "companion.radios.qorvo:QORVO_CLI",
     "pdoa_js": "companion.radios.qorvo:PDOA_JS",
     "kraken": "companion.radios.kraken:KRAKEN",
@@ -36,7 +36,7 @@ BUILT_IN: Mapping[str, str] = {
             *("makerfabs_at", "trek1000", "ryuw122", "bu01", "bu03", "pozyx", "uudf", "silabs_aoa"),
             *("channel_sounding", "sx1280", "lr11xx", "doppler", "lines"),
         ),
-        "companion.radios.text_table:RADIOS",
+        "companion.radios.line_forms:RADIOS",
     ),
     "rssi": "companion.radios.power_scans:RSSI",
     "uavrt": "companion.radios.power_scans:UAVRT",

@@ -25,7 +25,7 @@ from companion.flight_setup import (
 )
 from companion.guidance.commands import ReportResult
 from companion.io.files import EVENTS, INPUTS, TLOG, plain
-from companion.io.logs.log_files import (
+from companion.io.log_files import (
     Input,
     InputKind,
     TlogRecord,
@@ -36,7 +36,7 @@ from companion.io.logs.log_files import (
     read_inputs,
     read_tlog,
 )
-from companion.io.logs.mcap_file import read_mcap_flight
+from companion.io.mcap_file import read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

@@ -1,20 +1,45 @@
-"""`companion replay`: by the kind of the recording."""
+"""`companion replay`: by the kind of the recording.
+
+`companion replay` of a radio recording: its bytes decoded again, and the flying estimator.
+
+Each emitter has a filter of its own. Without an autopilot in the recording the vehicle positions
+are unknown, and only the radios' measurements are listed.
+"""
 
 from __future__ import annotations
 
 import argparse
+import statistics
 import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
+from companion.config.radios import RadioConfig, radio_setups, replayed_radios
 from companion.config.schema import CompanionConfig, load_config
+from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
 from companion.errors import EXIT_FAILED, ConfigError
+from companion.guidance.emitters import EmitterQueue, QueueParams
+from companion.guidance.flight.vehicle_track import VehicleTrack
+from companion.guidance.measurements import RangingListener
 from companion.io.files import check_writable, write_json_atomic
-from companion.io.radio_recording import is_radio_recording
+from companion.io.log_files import damage_text
+from companion.io.radio_recording import (
+    RadioBytes,
+    TimedPose,
+    is_radio_recording,
+    read_radio_recording,
+)
+from companion.link.radio_stage import RadioStage
 from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, replay_on_map
 from companion.replay.walk_replay import (
+    TargetResult,
     WalkAccuracy,
     explanation,
     replay_walk,
+    result_of,
     stated_accuracy,
     table,
 )
@@ -58,8 +83,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) -> int:
-    from companion.replay.radio_replay import replay_recording
-
     if arguments.speed is not None or arguments.web is not None:
         raise ConfigError("--speed, --web: a radio recording is replayed at once; leave them out")
     replay = replay_recording(arguments.file, config)
@@ -94,3 +117,112 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in results]}
         write_json_atomic(arguments.json, value)
     return 0
+
+
+END_S = 10.0
+"""Time after the last record at which all waiting measurements are due."""
+
+
+class _Target:
+    """One emitter's filter and measurements."""
+
+    def __init__(self, config: CompanionConfig, emitter_id: int, track: VehicleTrack) -> None:
+        self.queue = EmitterQueue(config.tracking, QueueParams(listed=(emitter_id,)))
+        self.listener = RangingListener(self.queue, track)
+        self.ranges_m: list[float] = []
+        self.count = 0
+
+    def take(self, measurement: RangingMeasurement) -> None:
+        """Queue a measurement, which waits for the vehicle position."""
+        self.count += 1
+        if measurement.range_m is not None:
+            self.ranges_m.append(measurement.range_m)
+        self.listener.receive(measurement)
+
+
+@dataclass(frozen=True, slots=True)
+class RadioReplay:
+    """Result of a recording."""
+
+    radios: list[str]
+    """A line for each radio, and one for each emitter if positions are unknown."""
+    targets: list[TargetResult] = field(default_factory=list)
+    """Empty without any position."""
+
+
+def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
+    """Decode and estimate; radios of `config` replace the recording's settings by name."""
+    damaged: list[int] = []
+    header, records = read_radio_recording(path, damaged.append)
+    recorded = [
+        RadioConfig(name=r.name, url=r.url, settings=dict(r.settings), options=dict(r.options))
+        for r in header.radios
+    ]
+    stages = [RadioStage(setup) for setup in radio_setups(replayed_radios(recorded, config.radios))]
+    track = VehicleTrack()
+    targets: dict[int, _Target] = {}
+    own: PositionAccuracy | None = None
+    now_s, poses = 0.0, 0
+    for record in records:
+        if isinstance(record, RadioBytes):
+            now_s = max(now_s, record.t_s)
+            for measurement in stages[record.radio].receive(record.data, record.t_s):
+                number = measurement.emitter_id
+                if number not in targets:
+                    targets[number] = _Target(config, number, track)
+                targets[number].take(measurement)
+        elif isinstance(record, TimedPose):
+            poses += 1
+            _add_pose(track, record)
+            own = (
+                own
+                if record.sigma_m is None
+                else PositionAccuracy(record.sigma_m, is_reported=True)
+            )
+            for target in targets.values():
+                target.listener.fuse_due(max(now_s, record.t_s), own)
+    if poses:
+        for target in targets.values():
+            target.listener.fuse_due(now_s + END_S, own)
+    lines = [*filter(None, [damage_text(path, "line", damaged)]), *_radio_lines(stages)]
+    if not poses:
+        return RadioReplay([*lines, *_unplaced_lines(targets)])
+    results = [
+        result_of(target.queue.current, str(number), target.count, now_s)
+        for number, target in sorted(targets.items())
+    ]
+    return RadioReplay([*lines, *map(_refusals, results)], results)
+
+
+def _add_pose(track: VehicleTrack, pose: TimedPose) -> None:
+    track.add(VehicleState(pose.t_s, pose.enu_m, (0.0, 0.0, 0.0)))
+    if pose.yaw_rad is not None:
+        has_tilt = pose.roll_rad is not None and pose.pitch_rad is not None
+        tilt_rad = (pose.roll_rad or 0.0, pose.pitch_rad or 0.0) if has_tilt else None
+        track.add_attitude(pose.t_s, Attitude(pose.yaw_rad, tilt_rad))
+
+
+def _radio_lines(stages: Sequence[RadioStage]) -> list[str]:
+    lines = []
+    for stage in stages:
+        refused: Counter[str] = stage.all_refused
+        words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
+        said = f"{stage.received} bytes, {stage.measured} measurements"
+        fate = f"refused: {words}" if words else "none refused"
+        lines.append(f"radio {stage.setup.kind.name}: {said}, {fate}")
+    return lines
+
+
+def _refusals(result: TargetResult) -> str:
+    words = ", ".join(f"{reason} {count}" for reason, count in result.refused.items())
+    return f"emitter {result.target_id}: {f'refused: {words}' if words else 'none refused'}"
+
+
+def _unplaced_lines(targets: dict[int, _Target]) -> list[str]:
+    """Return the measurements of emitters in lines, where positions are unknown."""
+    lines = []
+    for number, target in sorted(targets.items()):
+        ranges_m = target.ranges_m
+        middle = f", median range {statistics.median(ranges_m):.2f} m" if ranges_m else ""
+        lines.append(f"  emitter {number}: {target.count} measurements{middle}")
+    return [*lines, "no estimate: no autopilot was connected, so positions are unknown"]

@@ -30,7 +30,7 @@ from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.handoff import mgrs_text, utc_text
 from companion.io.files import EVENTS, REPORT, write_text_atomic
-from companion.io.logs.log_files import damage_text, event_lines
+from companion.io.log_files import damage_text, event_lines
 from companion.report.charts import (
     Chart,
     MapLayers,
@@ -46,9 +46,9 @@ from companion.report.flight_summary import (
     FlightSummary,
     Line,
     radii_of_line,
+    report_of,
     summarize_events,
 )
-from companion.report.searched_area import report_of
 from companion.web.settings import check_tiles
 
 LEAST_M = 1e-3

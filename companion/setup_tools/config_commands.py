@@ -26,7 +26,7 @@ from companion.config.schema import (
     with_signing_key,
 )
 from companion.config.versions import KEY, SCHEMA_VERSION, is_in, renew
-from companion.link.radio_settings import RadioSettings
+from companion.link.interface import RadioSettings
 
 DEFAULT = "default"
 WIDTH = 44

@@ -22,9 +22,9 @@ from companion.area_handoff import png_of
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.guidance.session import GuidanceSession
-from companion.search.outlines import Gap, gaps_of, outlines
 from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import SearchState
+from companion.search.searched_flight import Gap, gaps_of, outlines
 
 T = TypeVar("T")
 

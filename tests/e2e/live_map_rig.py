@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
-from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.flight_recorder import FlightJournal
 from companion.link.interface import Journal
 from companion.run import ViewedJournal
 from companion.web.live_map import WebView

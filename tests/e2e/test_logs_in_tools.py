@@ -8,7 +8,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from companion.io.logs.log_files import read_tlog
+from companion.io.log_files import read_tlog
 from tests.loop.golden_flights import PLANS, fly
 
 

@@ -19,7 +19,7 @@ from typing import ClassVar
 import pytest
 
 from companion.guidance.phases import Phase
-from companion.io.state.checkpoints import CheckpointError, decode_checkpoint
+from companion.io.checkpoints import CheckpointError, decode_checkpoint
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.e2e.simulator_process import PATIENCE_S, running_simulator

@@ -18,8 +18,7 @@ from typing import ClassVar
 import pytest
 
 from companion.errors import LinkError
-from companion.io.links.radio_lines import radio_link
-from companion.io.links.transports import Transport
+from companion.io.links.transports import Transport, radio_link
 from companion.io.radio_recording import (
     RadioBytes,
     RadioRecordingWriter,
@@ -27,7 +26,7 @@ from companion.io.radio_recording import (
     RecordingHeader,
 )
 from companion.io.shell import Shell
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk
 from companion.radios.decoder import LineDecoder, Poll, RadioKind, RadioReading

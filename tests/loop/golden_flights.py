@@ -31,8 +31,8 @@ from companion.guidance.emitters import QueueParams
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
 from companion.guidance.session_params import SessionParams
 from companion.io.files import INPUTS
-from companion.io.logs.flight_recorder import FlightJournal
-from companion.io.logs.log_files import parse_inputs
+from companion.io.flight_recorder import FlightJournal
+from companion.io.log_files import parse_inputs
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkSpec, VehicleParams
 from companion.mav.codec import MavCodec

@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.control_authority import REGAIN_QUIET_S
+from companion.guidance.control_authority import REGAIN_QUIET_S
 from companion.guidance.findings import Reason
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.session_params import SessionParams

@@ -17,8 +17,8 @@ from companion.errors import EXIT_BAD_INPUT, ConfigError
 from companion.flight_setup import FlightFacts, build_endpoint, write_facts
 from companion.guidance.session_params import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, TLOG
-from companion.io.logs.flight_recorder import FlightJournal
-from companion.io.logs.log_files import Input, event_lines, read_inputs, read_tlog
+from companion.io.flight_recorder import FlightJournal
+from companion.io.log_files import Input, event_lines, read_inputs, read_tlog
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkSpec
 from companion.replay.flight_replay import FlightReplay, replay_flight

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority.control_authority import REGAIN_QUIET_S
+from companion.guidance.control_authority import REGAIN_QUIET_S
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.mav.dialect import mavlink
 from tests.loop.loop_helpers import Loop, flown_once

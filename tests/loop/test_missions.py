@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from companion.io.logs.log_files import read_tlog
+from companion.io.log_files import read_tlog
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName

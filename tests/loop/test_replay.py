@@ -24,9 +24,9 @@ from companion.guidance.emitters import QueueParams
 from companion.guidance.events import ProcessMessage
 from companion.guidance.session_params import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
-from companion.io.logs.flight_recorder import FlightJournal
-from companion.io.logs.log_files import event_lines
-from companion.io.logs.mcap_file import McapLog
+from companion.io.flight_recorder import FlightJournal
+from companion.io.log_files import event_lines
+from companion.io.mcap_file import McapLog
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkSpec
 from companion.mav.codec import MavCodec

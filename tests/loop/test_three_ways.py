@@ -36,9 +36,9 @@ from companion.link.interface import EndpointParams, VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging
-from companion.planning.crossing_kernels import NO_LATCH
 from companion.planning.fim import FimParams
 from companion.planning.planner import Plan, Planner, PlanRequest
+from companion.planning.views import NO_LATCH
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams

@@ -20,7 +20,7 @@ import numpy as np
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.session_params import SessionParams
-from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.flight_recorder import FlightJournal
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

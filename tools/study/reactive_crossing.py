@@ -18,8 +18,8 @@ import math
 from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
 from companion.geometry.polygons import Point
 from companion.kernel import kernel
-from companion.planning.crossing_kernels import direction
 from companion.planning.planner import Plan, PlanRequest, hold_position, kept_inside, route_to
+from companion.planning.views import direction
 
 
 class ReactiveCrossingParams(Params, frozen=True):

@@ -17,8 +17,7 @@ from companion.domain import RangingMeasurement
 from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, probabilities
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
-from companion.search.first_contact import SearchPrior
-from companion.search.searched_area import SearchedArea, state_of
+from companion.search.searched_area import SearchedArea, SearchPrior, state_of
 from tools.study.searched_area import (
     INTERVAL_S,
     SIDE_M,

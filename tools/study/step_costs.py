@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
-from companion.planning.crossing_kernels import NO_LATCH
+from companion.planning.views import NO_LATCH
 from tools.benches.filter_bench import (
     FILTERPY_UPDATE,
     SEED,

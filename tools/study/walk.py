@@ -53,7 +53,8 @@ from companion.estimation.window.map_kernels import (
 from companion.estimation.window.window_map import SAME_PLACE_M
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector, kernel
-from companion.planning.crossing_kernels import (
+from companion.planning.fim import STAY, FieldOfView, best_candidate
+from companion.planning.views import (
     KEPT,
     NO_LATCH,
     Latch,
@@ -63,7 +64,6 @@ from companion.planning.crossing_kernels import (
     next_direction,
     overshoot_m,
 )
-from companion.planning.fim import STAY, FieldOfView, best_candidate
 from sim_link.world.environment import NO_MEMORY
 from tools.study.admm_ekf import admm_update
 from tools.study.case import RunTruth, Scene, measured_in, stepped

@@ -19,7 +19,6 @@ from companion.geometry.polygons import Corners, Point
 from companion.guidance.emitters import Progress
 from companion.guidance.flight.vehicle import VehicleView
 from companion.search.detection_model import DetectionModel
-from companion.search.first_contact import LearntReach, SearchPrior, learnt_reach
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import (
     SearchGrid,
@@ -29,7 +28,13 @@ from companion.search.search_grid import (
     grid_over,
     share_outside,
 )
-from companion.search.searched_area import SearchedArea, SearchState
+from companion.search.searched_area import (
+    LearntReach,
+    SearchedArea,
+    SearchPrior,
+    SearchState,
+    learnt_reach,
+)
 from companion.search.searched_flight import (
     ReachSource,
     SearchAreaParams,

@@ -25,7 +25,7 @@ from companion.domain import FlightMode
 from companion.errors import CompanionError
 from companion.io.child_processes import HOST, START_S, ChildProcess, Pacer, free_udp_ports
 from companion.io.links.transports import Transport, UdpBind, UdpConnect, parse_transport
-from companion.io.logs.log_files import TlogWriter
+from companion.io.log_files import TlogWriter
 from companion.io.shell import Clock, Shell
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink

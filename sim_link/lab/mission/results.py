@@ -18,7 +18,7 @@ from functools import partial
 from companion.domain import PositionEnu
 from companion.geometry.polygons import Point
 from companion.io.files import plain
-from companion.io.logs.log_files import tlog_record
+from companion.io.log_files import tlog_record
 from companion.report.flight_summary import EstimatePoint
 from sim_link.lab.mission.conditions import FlightSituation, parse_condition
 from sim_link.lab.mission.script import (

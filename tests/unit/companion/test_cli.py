@@ -10,7 +10,7 @@ import pytest
 from companion.cli import main
 from companion.errors import EXIT_BAD_INPUT
 from companion.guidance.commands import Severity
-from companion.io.logs.flight_recorder import BlackBox
+from companion.io.flight_recorder import BlackBox
 from companion.view.log_lines import set_up_logging
 
 OPEN = "udp:0.0.0.0:14999"

@@ -15,7 +15,7 @@ from companion.config.schema import CompanionConfig, LogConfig, ProcessConfig
 from companion.flight_setup import build_planner
 from companion.io.files import EVENTS, FLIGHT, MCAP, TLOG
 from companion.io.links.transports import FlightLink, UdpBind
-from companion.io.logs.log_files import read_tlog
+from companion.io.log_files import read_tlog
 from companion.io.shell import Clock
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import VEHICLE_ONLY, VehicleParams

@@ -14,7 +14,7 @@ from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import GONE, SCHEMA_VERSION, Gone, renew
 from companion.errors import ConfigError
 from companion.flight_setup import build_session
-from companion.io.logs.log_files import FAMILY, FORMAT
+from companion.io.log_files import FAMILY, FORMAT
 from companion.io.radio_recording import VERSION as RECORDING_VERSION
 from companion.mav.dialect import (
     MAVLink_radio_ranging_message,

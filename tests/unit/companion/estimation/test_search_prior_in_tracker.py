@@ -12,9 +12,8 @@ from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.hypotheses import Hypothesis, probabilities, ranked
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
-from companion.search.first_contact import SearchPrior
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import SearchState
+from companion.search.searched_area import SearchPrior, SearchState
 
 SQUARE = ((-200.0, -200.0), (200.0, -200.0), (200.0, 200.0), (-200.0, 200.0))
 

@@ -27,8 +27,8 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.geometry.polygons import Point
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
-from companion.planning.crossing_kernels import Latch
 from companion.planning.planner import PlanRequest
+from companion.planning.views import Latch
 from tests.unit.companion.estimation.tracker_helpers import (
     HEIGHT_M,
     bearing_to,

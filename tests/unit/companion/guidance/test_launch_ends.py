@@ -7,7 +7,6 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState
-from companion.guidance.authority.launch import Launch, LaunchView
 from companion.guidance.commands import Arm, SendSetpoint
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
@@ -24,6 +23,7 @@ from companion.guidance.events import (
     SticksReported,
     StopRequested,
 )
+from companion.guidance.launch import Launch, LaunchView
 from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.authority.test_launch import AUTO, launching
 from tests.unit.companion.guidance.scripted import ScriptedFlight

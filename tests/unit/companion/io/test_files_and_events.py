@@ -18,7 +18,7 @@ from companion.io.files import (
     plain,
     write_json_atomic,
 )
-from companion.io.logs.log_files import EventLog
+from companion.io.log_files import EventLog
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.flight_setup import open_flight
+from companion.io.checkpoints import FILE as OFFSETS
+from companion.io.checkpoints import kept_offsets
 from companion.io.files import FLIGHT
 from companion.io.radio_recording import read_radio_recording
-from companion.io.state.radio_offsets import FILE as OFFSETS
-from companion.io.state.radio_offsets import kept_offsets
 from companion.replay.walk_replay import stated_accuracy
 from companion.setup_tools.setup_commands import RECORD, remove_files
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.authority.control_authority import ID_CONFLICT_S
+from companion.guidance.control_authority import ID_CONFLICT_S
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.link import outbound
 from companion.link.outlet import FOREIGN_FRAMES, KEPT, OwnFrames

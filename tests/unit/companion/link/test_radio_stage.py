@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from companion.domain import Params, RangingMeasurement
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.radios.decoder import AngleFrame, RadioDecoder, RadioKind, RadioReading
 

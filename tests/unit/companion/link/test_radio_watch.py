@@ -9,8 +9,8 @@ from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, build_endpoint
 from companion.guidance.text_gate import TextGate
 from companion.link.intake import MOST_RAW_BYTES, RAW_BYTES, FloodBudget
+from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.quality import RadioWatch
-from companion.link.radio_settings import RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk
 from companion.view.snapshot import picture_of

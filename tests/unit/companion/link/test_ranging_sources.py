@@ -11,12 +11,10 @@ from companion.config.schema import CompanionConfig
 from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
 from companion.flight_setup import FlightFacts, build_endpoint, facts_as_json, facts_of_json
-from companion.io.links.radio_lines import radio_link
-from companion.io.links.transports import check_exposure
+from companion.io.links.transports import check_exposure, radio_link
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.sender_clock import VehicleClock
-from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec, RadioSettings, RadioSetup
 from companion.link.ranging_sources import MavlinkRanging
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from companion.domain import EstimateState, TargetEstimate
 from companion.geometry.polygons import Point
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
-from companion.planning.crossing_kernels import (
+from companion.planning.planner import PlanRequest
+from companion.planning.views import (
     NO_LATCH,
     Latch,
     altitude_offset_m,
@@ -20,7 +21,6 @@ from companion.planning.crossing_kernels import (
     overshoot_m,
     turned,
 )
-from companion.planning.planner import PlanRequest
 from tools.study.walk import latched_step
 
 PARAMS = LatchedCrossingParams()

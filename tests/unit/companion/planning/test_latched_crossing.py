@@ -16,9 +16,15 @@ from companion.planning.crossing import (
     LatchedCrossingParams,
     SensorGeometry,
 )
-from companion.planning.crossing_kernels import GOLDEN_ANGLE_RAD, Latch, direction
 from companion.planning.planner import Plan, PlanRequest
-from companion.planning.views import Antenna, best_reach_m, leg_over
+from companion.planning.views import (
+    GOLDEN_ANGLE_RAD,
+    Antenna,
+    Latch,
+    best_reach_m,
+    direction,
+    leg_over,
+)
 
 PLANNER = LatchedCrossing(LatchedCrossingParams())
 SQUARE = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))

@@ -5,7 +5,6 @@ import pytest
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
-from companion.planning.crossing_kernels import Latch
 from companion.planning.planner import Plan, PlanRequest
 from companion.planning.search import (
     LawnmowerParams,
@@ -13,6 +12,7 @@ from companion.planning.search import (
     SearchThenCross,
     SearchThenCrossMemory,
 )
+from companion.planning.views import Latch
 
 FIELD = ((0.0, 0.0), (100.0, 0.0), (100.0, 60.0), (0.0, 60.0))
 PLANNER = SearchThenCross(

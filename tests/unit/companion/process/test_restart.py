@@ -16,7 +16,7 @@ from companion.geometry.geofence import GeoArea, GeoFence
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import AutopilotFenceRead, LandedStateChanged
 from companion.guidance.session_params import SessionParams
-from companion.io.state.checkpoints import Moment
+from companion.io.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
 from companion.process.persistence import RestartKeeper
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot

@@ -11,8 +11,7 @@ from dataclasses import replace
 import pytest
 
 from companion.io.shell import TimerStatistics
-from companion.process.diagnostics import ProcessParts
-from companion.process.watchdog import Supervisor, Watchdog
+from companion.process.diagnostics import ProcessParts, Supervisor, Watchdog
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 

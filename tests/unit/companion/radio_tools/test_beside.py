@@ -11,7 +11,7 @@ from companion.cli import main
 from companion.config.radios import is_uncalibrated
 from companion.config.schema import load_config, with_radios
 from companion.flight_setup import with_kept_offsets
-from companion.io.state.radio_offsets import radio_key
+from companion.io.checkpoints import radio_key
 
 LINE = "RACH:  tti=9241, preamble=31, offset=13, temp_crnti=0x4a\n"
 BY_LINES = "lines:pattern='d=(?P<range_m>[0-9.]+)'@exec:cat {}"

@@ -15,7 +15,7 @@ import yaml
 from companion.cli import main
 from companion.config.schema import load_config
 from companion.geometry.coordinates import LocalOrigin
-from companion.link.radio_settings import RadioSettings
+from companion.link.interface import RadioSettings
 from companion.radio_tools.calibration import CalibrationRun
 from tests.unit.companion.radio_tools.simulated_radio import (
     POINT,

@@ -31,7 +31,7 @@ from companion.mav.endpoint import Chunk
 from companion.radio_tools.radio_commands import WatchingEndpoint, scatter_of
 from companion.radio_tools.recorder import PoseListener, RecordingEndpoint
 from companion.radios import catalogue
-from companion.replay.radio_replay import replay_recording
+from companion.replay.replay_commands import replay_recording
 from tests.unit.companion.link.wire import PEER, heartbeat, local_position, origin
 
 EMITTER_ENU_M = (40.0, 30.0, 0.0)

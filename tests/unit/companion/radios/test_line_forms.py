@@ -10,8 +10,13 @@ import pytest
 from companion.errors import ConfigError
 from companion.radios.catalogue import BUILT_IN, radio_kind
 from companion.radios.decoder import RadioDecoder, RadioReading
-from companion.radios.line_forms import PozyxDecoder, PozyxOptions, Ryuw122Decoder, TagOptions
-from companion.radios.text_table import RADIOS
+from companion.radios.line_forms import (
+    RADIOS,
+    PozyxDecoder,
+    PozyxOptions,
+    Ryuw122Decoder,
+    TagOptions,
+)
 
 
 def decoder_of(name: str) -> RadioDecoder:
@@ -200,4 +205,4 @@ def test_a_tag_that_is_no_address_is_refused_in_words(
 
 
 def test_the_table_and_the_catalogue_have_the_same_names() -> None:
-    assert set(RADIOS) == {name for name, place in BUILT_IN.items() if "text_table" in place}
+    assert set(RADIOS) == {name for name, place in BUILT_IN.items() if "line_forms" in place}

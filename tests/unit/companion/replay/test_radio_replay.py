@@ -13,8 +13,8 @@ from companion.config.radios import RadioConfig
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, build_endpoint, write_facts
 from companion.io.files import INPUTS
-from companion.io.logs.flight_recorder import FlightJournal
-from companion.io.logs.log_files import read_inputs
+from companion.io.flight_recorder import FlightJournal
+from companion.io.log_files import read_inputs
 from companion.mav.endpoint import Chunk
 from companion.replay.flight_replay import FlightReplay, replay_flight
 from tests.unit.companion.link.wire import HOLD, Wire, heartbeat, local_position

@@ -16,9 +16,8 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.io.files import EVENTS
 from companion.report.page import write_report
 from companion.search.detection_model import DetectionModel
-from companion.search.first_contact import LearntReach
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import SearchState
+from companion.search.searched_area import LearntReach, SearchState
 from companion.search.searched_flight import SearchedFlight, StoredGrid
 
 SQUARE = ((0.0, 0.0), (200.0, 0.0), (200.0, 200.0), (0.0, 200.0))

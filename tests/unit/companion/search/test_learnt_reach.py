@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from companion.search.detection_model import DetectionModel
-from companion.search.first_contact import LearntReach, learnt_reach
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import SearchedArea
+from companion.search.searched_area import LearntReach, SearchedArea, learnt_reach
 
 SIDE_M, HEIGHT_M = 400.0, 20.0
 SQUARE = ((0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import shapely
 
-from companion.search.outlines import gaps_of, outlines
 from companion.search.search_grid import (
     MOST_CELLS,
     SearchGrid,
@@ -13,6 +12,7 @@ from companion.search.search_grid import (
     grid_over,
 )
 from companion.search.searched_area import SearchState
+from companion.search.searched_flight import gaps_of, outlines
 
 SQUARE = ((0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0))
 EAST = ((400.0, 0.0), (800.0, 0.0), (800.0, 400.0), (400.0, 400.0))

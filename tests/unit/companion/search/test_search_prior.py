@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from companion.search.detection_model import DetectionModel
-from companion.search.first_contact import LEAST_ODDS, SearchPrior
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import SearchedArea, state_of
+from companion.search.searched_area import LEAST_ODDS, SearchedArea, SearchPrior, state_of
 
 SQUARE = ((0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0))
 

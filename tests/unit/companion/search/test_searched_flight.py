@@ -6,9 +6,8 @@ import pytest
 
 from companion.geometry.coordinates import LocalOrigin
 from companion.search.detection_model import DetectionModel
-from companion.search.first_contact import LearntReach
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
-from companion.search.searched_area import SearchedArea, SearchState, state_of
+from companion.search.searched_area import LearntReach, SearchedArea, SearchState, state_of
 from companion.search.searched_flight import (
     SearchedFlight,
     StoredGrid,

@@ -12,9 +12,9 @@ import pytest
 
 from companion.area_handoff import png_of
 from companion.geometry.coordinates import LocalOrigin
-from companion.search.outlines import gaps_of
 from companion.search.search_grid import MOST_CELLS, SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchState
+from companion.search.searched_flight import gaps_of
 from companion.view.history import PackedState, SearchedHistory, drawn
 
 TRIANGLE = WeightedArea(((0.0, 0.0), (200.0, 0.0), (0.0, 160.0)), 3.0)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.search.first_contact import SearchPrior
+from companion.search.searched_area import SearchPrior
 from tools.study import searched_prior as study
 from tools.study.searched_prior import Fix, FixPair, fly_pair, table_of_pairs
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.authority.launch import Launch, LaunchView, Stage
 from companion.guidance.commands import Arm, Command, SendSetpoint, SetMode, TakeOff
 from companion.guidance.events import (
     HeartbeatReceived,
@@ -16,6 +15,7 @@ from companion.guidance.events import (
 )
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import mode_name
+from companion.guidance.launch import Launch, LaunchView, Stage
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight

@@ -12,11 +12,9 @@ from companion.config.radios import RadioConfig, radio_setup
 from companion.errors import ConfigError, LinkError
 from companion.io.links.link import Link
 from companion.io.links.program_links import StdinLink
-from companion.io.links.radio_lines import radio_link
 from companion.io.links.tcp import TcpServerLink
-from companion.io.links.transports import OwnLine
-from companion.link.interface import LinkRole
-from companion.link.radio_settings import RadioSettings, RadioSetup
+from companion.io.links.transports import OwnLine, radio_link
+from companion.link.interface import LinkRole, RadioSettings, RadioSetup
 from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
 from tests.ports import free_port
 

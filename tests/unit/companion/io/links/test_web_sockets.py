@@ -16,8 +16,7 @@ from websockets.sync.server import Server, ServerConnection, serve
 from companion.config.radios import RadioConfig, radio_setup
 from companion.domain import RangingMeasurement
 from companion.errors import ConfigError
-from companion.io.links.radio_lines import radio_link
-from companion.io.links.transports import OwnLine
+from companion.io.links.transports import OwnLine, radio_link
 from companion.io.links.waiting_links import WebSocketLink, on_the_wire
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk

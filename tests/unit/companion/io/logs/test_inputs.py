@@ -8,7 +8,7 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.guidance.events import StopRequested
-from companion.io.logs.log_files import Input, InputKind, InputLog, parse_inputs, read_inputs
+from companion.io.log_files import Input, InputKind, InputLog, parse_inputs, read_inputs
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 

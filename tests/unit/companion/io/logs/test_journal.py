@@ -12,7 +12,7 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.logs.flight_recorder import FlightJournal
+from companion.io.flight_recorder import FlightJournal
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 

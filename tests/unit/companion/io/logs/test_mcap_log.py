@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from companion.errors import ConfigError
 from companion.guidance.commands import Severity
-from companion.io.logs.mcap_file import McapLog, read_mcap_flight
+from companion.io.mcap_file import McapLog, read_mcap_flight
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 

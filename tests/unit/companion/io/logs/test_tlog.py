@@ -7,7 +7,7 @@ import pytest
 from pymavlink import mavutil
 
 from companion.errors import ConfigError
-from companion.io.logs.log_files import TlogWriter, read_tlog
+from companion.io.log_files import TlogWriter, read_tlog
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 

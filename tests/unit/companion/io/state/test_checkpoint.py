@@ -17,7 +17,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.commands import ReportResult
 from companion.guidance.events import SessionMemory, VehicleMark
 from companion.guidance.phases import Phase
-from companion.io.state.checkpoints import (
+from companion.io.checkpoints import (
     MAX_BYTES,
     Checkpoint,
     CheckpointError,

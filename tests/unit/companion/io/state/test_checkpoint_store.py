@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from companion.io.checkpoints import CheckpointStore, encode_checkpoint, present_moment
 from companion.io.files import write_bytes_atomic
-from companion.io.state.checkpoints import CheckpointStore, encode_checkpoint, present_moment
 from tests.unit.companion.io.state.test_checkpoint import a_checkpoint
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.authority import control_authority
-from companion.guidance.authority.control_authority import Authority
+from companion.guidance import control_authority
+from companion.guidance.control_authority import Authority
 from companion.guidance.events import HeartbeatReceived
 from companion.guidance.phases import Phase
 from companion.guidance.session_params import SessionParams

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from companion.domain import FlightMode
-from companion.guidance.authority.launch import Launch
 from companion.guidance.events import HeartbeatReceived, LandedStateChanged
 from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.launch import Launch
 from companion.guidance.phases import (
     IN_CONTROL,
     OUT_OF_CONTROL,

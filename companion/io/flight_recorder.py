@@ -16,8 +16,8 @@ from companion.handoff import HandoffFiles
 from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterHealth
 from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
 from companion.io.links.link import NOTICE
-from companion.io.logs.log_files import EventLog, InputLog, TlogWriter
-from companion.io.logs.mcap_file import McapLog
+from companion.io.log_files import EventLog, InputLog, TlogWriter
+from companion.io.mcap_file import McapLog
 from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")

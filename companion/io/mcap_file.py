@@ -28,7 +28,7 @@ from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
 from companion.io.background_output import CLOSE_TIMEOUT_S, WriterThread
 from companion.io.files import json_line
-from companion.io.logs.log_files import frame_for_log
+from companion.io.log_files import frame_for_log
 
 FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"
 
