@@ -27,9 +27,9 @@ from companion.flight_setup import flight_links, with_kept_offsets
 from companion.io.child_processes import clock_of
 from companion.io.links.transports import check_exposure
 from companion.run import FlightOptions, FlightView, compile_kernels, fly
-from companion.view.console import PlainView
 from companion.view.cot import CotView, cot_address
 from companion.view.log_lines import set_up_logging
+from companion.view.snapshot import PlainView
 from companion.web.live_map import WebView
 from companion.web.settings import WebSettings, requested_settings
 

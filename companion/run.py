@@ -21,6 +21,17 @@ from pathlib import Path
 from companion import kernel_cache
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
+from companion.diagnostics import (
+    HOW_TO_ALLOW,
+    NORMAL_PRIORITY,
+    STOPPING,
+    LinkWatch,
+    ProcessDiagnostics,
+    ProcessParts,
+    Supervisor,
+    Watchdog,
+    raised_priority,
+)
 from companion.errors import CompanionError, LinkError
 from companion.flight_setup import (
     FlightFacts,
@@ -52,18 +63,7 @@ from companion.kernel import IS_COMPILED, IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH
-from companion.process.diagnostics import (
-    HOW_TO_ALLOW,
-    NORMAL_PRIORITY,
-    STOPPING,
-    LinkWatch,
-    ProcessDiagnostics,
-    ProcessParts,
-    Supervisor,
-    Watchdog,
-    raised_priority,
-)
-from companion.process.persistence import ParameterKeeper, RestartKeeper, SearchKeeper
+from companion.persistence import ParameterKeeper, RestartKeeper, SearchKeeper
 
 log = logging.getLogger("companion.run")
 

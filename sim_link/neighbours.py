@@ -17,12 +17,12 @@ from companion.geometry.coordinates import ned_from_enu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Address, Chunk, Endpoint
+from sim_link.autopilot.ardupilot.firmware_profile import GUIDED
+from sim_link.autopilot.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import GUIDED
-from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.other_senders import PAYLOAD_ID
+from sim_link.autopilot.px4.flavour import Px4Flavour
 from sim_link.autopilot.scenario import Scenario
 
 COMPONENT_BYTE = 6

@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT))
 from companion.config.schema import CompanionConfig  # noqa: E402
 from companion.entry import ignore_broken_pipe  # noqa: E402
 from companion.estimation.tracker import FusionReport  # noqa: E402
-from companion.guidance.session_params import SessionParams  # noqa: E402
+from companion.guidance.commands import SessionParams  # noqa: E402
 from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
 from companion.mav.endpoint import Chunk  # noqa: E402
 from companion.mav.framing import message_id  # noqa: E402

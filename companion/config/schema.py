@@ -27,9 +27,9 @@ from companion.geometry.obstacles import check_corners
 from companion.geometry.polygons import Corners, Point
 from companion.guard.gate import GuardLimits
 from companion.guard.limits import Envelope, Fence, Reserve, Stopping
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import QueueParams
 from companion.guidance.flight.fencing import FencePlan, FencePolicy
-from companion.guidance.session_params import SessionParams
 from companion.link.interface import LinkParams, VehicleParams
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import PlanRequest

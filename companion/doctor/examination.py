@@ -18,6 +18,12 @@ from pathlib import Path
 
 from companion import kernel_cache
 from companion.config.schema import CompanionConfig, load_config, with_radios, with_signing_key
+from companion.diagnostics import (
+    HOW_TO_ALLOW,
+    NORMAL_PRIORITY,
+    process_use,
+    raised_priority,
+)
 from companion.doctor.autopilot_settings import check_fence, check_parameters
 from companion.doctor.findings import (
     AutopilotFacts,
@@ -47,12 +53,6 @@ from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.interface import LinkRole
 from companion.link.outlet import COMPONENT_ID
-from companion.process.diagnostics import (
-    HOW_TO_ALLOW,
-    NORMAL_PRIORITY,
-    process_use,
-    raised_priority,
-)
 from companion.run import link_name, open_signing
 
 MEGABYTE = 1_000_000

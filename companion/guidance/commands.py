@@ -1,13 +1,26 @@
-"""Commands of the session; the link turns these values into messages."""
+"""Commands of the session; the link turns these values into messages.
+
+Mission parameters, and those of them that may be changed while the companion runs.
+
+Tuning changes how the mission is flown, never where: fence, keep-outs and the altitude band are
+read-only. A change arrives as whole records that were checked together, and takes effect with the
+next control tick; the guard moves from one speed to the other within its acceleration, as from one
+waypoint to the other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Annotated, Any, ClassVar, Literal
 
-from companion.domain import FlightMode, PositionSetpoint, TargetEstimate
+import msgspec
+
+from companion.domain import Distance, FlightMode, Params, PositionSetpoint, TargetEstimate, Waiting
 from companion.geometry.coordinates import LocalOrigin
+from companion.guard.gate import GuardLimits
+from companion.planning.planner import Planner
 
 
 class Severity(Enum):
@@ -115,3 +128,65 @@ Command = (
     | ReportResult
     | Record
 )
+
+
+StickReaction = Literal["yield", "hold", "ignore"]
+Percent = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+
+
+class SessionParams(Params, frozen=True):
+    """Parameters of the mission."""
+
+    engage: Literal["operator", "auto"] = "operator"
+    """`operator`: the mode switch hands control over; `auto`: launch once (simulation)."""
+    altitude_m: Distance = 20.0
+    """Search altitude above home."""
+    stop_radius_m: Distance = 1.0
+    """The target is reported once R95 stays under this ..."""
+    stop_confirm_s: Waiting = 10.0
+    """... for this long."""
+    settle_s: Waiting | None = 45.0
+    """Or, where that is out of reach, once R95 has improved by less than 8 % for this long; null:
+    never."""
+    on_localised: Literal["hold", "return", "land"] = "hold"
+    """Mode to request after the report, a value of `FlightMode`."""
+    searches_on: bool = msgspec.field(default=False, name="continue")
+    """True: after a report the search goes on for further emitters."""
+    ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5, le=3600.0)] = 5.0
+    """Without a usable measurement for this long: hold."""
+    degraded_after_s: Waiting = 2.0
+    """Without one for this long: continue, slower."""
+    coast_drift_mps: ClassVar[float] = 1.0
+    """Assumed speed of the target, relative to its estimate, without measurements."""
+    coast_sigma_max_m: ClassVar[float] = 30.0
+    """Without ranging the vehicle holds if the estimate is less certain than this, one sigma."""
+    on_sticks: StickReaction = "yield"
+    """Reaction to a pilot who moves the sticks: `yield` holds, then leaves the vehicle to the
+    pilot; `hold` only holds; `ignore` continues."""
+    battery_low_pct: Percent = 20.0
+    """At this charge the leg is finished, estimates are reported, and the vehicle returns."""
+    battery_critical_pct: Percent = 10.0
+    """At this charge the vehicle is handed back at once by requesting the return."""
+
+    def __post_init__(self) -> None:
+        if self.battery_low_pct < self.battery_critical_pct:
+            raise ValueError("battery_low_pct must not be below battery_critical_pct")
+
+
+class When(Enum):
+    """State in which a parameter may be changed."""
+
+    ANY_TIME = "at any time but during launch and hand-back"
+    DISARMED = "only while the vehicle is disarmed"
+    NEVER = "never"
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """Settings that the parts of a session use."""
+
+    params: SessionParams
+    limits: GuardLimits
+    """Limits with the fence that the session began with."""
+    planner: Planner[Any]
+    """Planner of the same kind as before: it continues with the memory of the one before."""

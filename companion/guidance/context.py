@@ -25,9 +25,11 @@ from companion.guidance.commands import (
     Command,
     Record,
     ReportResult,
+    SessionParams,
     SetMode,
     Severity,
     Topic,
+    Tuning,
     WithdrawRequest,
 )
 from companion.guidance.control_authority import Authority
@@ -47,7 +49,6 @@ from companion.guidance.phases import (
     Phase,
     Trigger,
 )
-from companion.guidance.session_params import SessionParams, Tuning
 from companion.planning.planner import Planner
 from companion.search.searched_area import SearchPrior
 

@@ -22,9 +22,8 @@ from companion.domain import (
 from companion.estimation.belief import Belief
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.geofence import GeoFence
-from companion.guidance.commands import ReportResult, Severity
+from companion.guidance.commands import ReportResult, Severity, Tuning
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import Tuning
 
 
 @dataclass(frozen=True, slots=True)

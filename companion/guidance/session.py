@@ -17,7 +17,7 @@ from companion.estimation.innovations import TrackerHealth
 from companion.estimation.tracker import TargetTracker
 from companion.guard.gate import Guard
 from companion.guidance import events
-from companion.guidance.commands import Command, ReportResult
+from companion.guidance.commands import Command, ReportResult, SessionParams, When
 from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
@@ -29,7 +29,6 @@ from companion.guidance.health.watches import Watches
 from companion.guidance.measurements import EmitterScheduler, Measuring
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.recovery import Recollection, memory_of
-from companion.guidance.session_params import SessionParams, When
 from companion.planning.planner import Planner
 
 

@@ -33,8 +33,7 @@ import msgspec
 from companion.domain import Autopilot
 from companion.errors import ConfigError
 from companion.guidance.events import SessionMemory, VehicleMark
-from companion.io.background_output import BackgroundReplacer
-from companion.io.files import write_json_atomic
+from companion.io.files import BackgroundReplacer, write_json_atomic
 
 MAGIC = b"CkPt"
 VERSION = 1

@@ -1,18 +1,38 @@
-"""Files written atomically as a whole, and flight directories with the names of their files."""
+"""Files written atomically as a whole, and flight directories with the names of their files.
+
+Output from a background thread, so that the caller never waits: of any kind, and to files.
+
+`WriterThread` empties a bounded queue. A full one (a disk, a terminal or a pipe that hangs) loses
+items, which are counted, and never raises or blocks the caller.
+
+An appended record is written whole or not at all: after a partial write the file is cut back, so
+that one failure does not spoil the records after it. Of a capped file the newest part is kept: at
+half the cap it is renamed to `NAME.old.SUFFIX`, replacing the previous one, and a new file begins.
+A reader joins the two in this order.
+
+A replacement is atomic (see `files.write_bytes_atomic`). Of several contents waiting for one file
+only the newest is written, so that a slow disk costs history and never memory. A failure is
+counted, reported once, and retried only with the next content.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
+import queue
 import re
 import shutil
+import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from companion.errors import CompanionError, ConfigError
 
@@ -160,3 +180,266 @@ def _sync_directory(directory: Path) -> None:
 
 TLOG, MCAP, EVENTS, INPUTS = "flight.tlog", "flight.mcap", "events.jsonl", "flight.inputs"
 FLIGHT, RESULT, REPORT = "flight.json", "result.json", "report.html"
+
+
+T = TypeVar("T")
+
+MAX_BATCH = 1024
+"""Limit of a batch; a second of the busiest autopilot link has 405 frames."""
+CLOSE_TIMEOUT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class WriterHealth:
+    """State of one writer, or of several together."""
+
+    queued: int
+    dropped: int
+    """Items lost so far, to a full queue or a failed write."""
+    bytes_kept: int
+    """Bytes on disk, older parts included."""
+    silent_s: float
+    """Time for which the disk has not answered; 0 while nothing is being written."""
+    is_alive: bool
+
+
+class WriterThread(Generic[T]):
+    """The queue and its thread; a subclass writes the items in `write_batch`.
+
+    A subclass must be fully constructed before it calls this constructor, which starts the thread.
+    Items are written `gather_s` later, many at a time.
+    """
+
+    def __init__(self, name: str, max_queued: int, gather_s: float = 0.0) -> None:
+        self.bytes_kept = 0
+        self.overflowed = 0
+        self.failed = 0
+        self._gather_s = gather_s
+        self._max_queued = max_queued
+        self._queue: queue.SimpleQueue[T | None] = queue.SimpleQueue()
+        self._is_closed = False
+        self._is_ending = threading.Event()
+        self._busy_since_s: float | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def write_batch(self, batch: list[T]) -> None:
+        """Write some items; runs on the thread and must not raise."""
+        raise NotImplementedError
+
+    def end(self) -> None:
+        """Release resources; called last on the thread."""
+
+    def note_overflow(self) -> None:
+        """Report the first item that is lost to a full queue."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of items lost so far, to a full queue or a failed write."""
+        return self.overflowed + self.failed
+
+    @property
+    def health(self) -> WriterHealth:
+        """Return the state of the writer without waiting for the thread."""
+        since_s = self._busy_since_s
+        return WriterHealth(
+            queued=self._queue.qsize(),
+            dropped=self.dropped,
+            bytes_kept=self.bytes_kept,
+            silent_s=0.0 if since_s is None else time.monotonic() - since_s,
+            is_alive=self._thread.is_alive(),
+        )
+
+    def append(self, item: T) -> bool:
+        """Queue an item and return True; it is counted as lost if the queue is full or closed."""
+        if not self._is_closed and self._queue.qsize() < self._max_queued:
+            self._queue.put(item)
+            return True
+        self.overflowed += 1
+        if self.overflowed == 1 and not self._is_closed:
+            self.note_overflow()
+        return False
+
+    def finish(self) -> None:
+        """Ask the thread to write what is queued and end; does not wait, see `close`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._is_ending.set()
+        self._queue.put(None)
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """Write what is queued within `timeout_s`; return True if all of it was written."""
+        self.finish()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        is_last = False
+        while not is_last:
+            batch, is_last = self._next_batch()
+            self._busy_since_s = time.monotonic()
+            if batch:
+                self.write_batch(batch)
+            if is_last:
+                self.end()
+            self._busy_since_s = None
+
+    def _next_batch(self) -> tuple[list[T], bool]:
+        """Wait for items; return them, and True if the end was requested."""
+        batch: list[T] = []
+        item = self._queue.get()
+        if self._gather_s and self._queue.qsize() < MAX_BATCH:
+            self._is_ending.wait(self._gather_s)
+        while item is not None:
+            batch.append(item)
+            if len(batch) == MAX_BATCH or self._queue.empty():
+                return batch, False
+            item = self._queue.get()
+        return batch, True
+
+
+logger = logging.getLogger("companion.io")
+
+MAX_QUEUED = 10_000
+SYNC_PERIOD_S = 1.0
+GATHER_S = SYNC_PERIOD_S
+"""A thread that wakes for each record takes the interpreter from the control tick a hundred times
+a second. Records reach the disk once in this time anyway."""
+_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
+
+
+class BackgroundFile(WriterThread[bytes]):
+    """Append-only file with a writer thread; an existing file is continued.
+
+    `max_bytes` caps the file and its older part together; None means no cap. Raises a
+    `CompanionError` if the file cannot be opened.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self.path = path
+        self.older_path = path.with_name(f"{path.stem}.old{path.suffix}")
+        self._part_bytes = None if max_bytes is None else max(1, max_bytes // 2)
+        self._has_warned = False
+        self._older_bytes = 0
+        self._synced_s = time.monotonic()
+        try:
+            self._fd = os.open(path, _FLAGS, 0o644)
+            self._bytes = os.fstat(self._fd).st_size
+        except OSError as error:
+            raise CompanionError(
+                f"{path}: cannot be opened ({error.strerror}); choose another place for the log"
+            ) from error
+        super().__init__(f"write {path.name}", MAX_QUEUED, GATHER_S)
+        self.bytes_kept = self._bytes
+
+    def note_overflow(self) -> None:
+        """Report that the disk is too slow."""
+        logger.warning("%s: the disk is too slow, records are lost", self.path)
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """Write what is queued within `timeout_s`, then close."""
+        is_written = super().close(timeout_s)
+        if not is_written:
+            logger.warning("%s: the disk hangs, the end of the log is lost", self.path)
+        return is_written
+
+    def write_batch(self, batch: list[bytes]) -> None:
+        """Write a batch of records, and sync the file to disk periodically."""
+        self._write(batch)
+        self.bytes_kept = self._bytes + self._older_bytes
+        if time.monotonic() - self._synced_s >= SYNC_PERIOD_S:
+            self._sync()
+
+    def end(self) -> None:
+        """Sync the file to disk and close it."""
+        self._sync()
+        os.close(self._fd)
+
+    def _sync(self) -> None:
+        with suppress(OSError):  # pipes and devices cannot be synced
+            os.fsync(self._fd)
+        self._synced_s = time.monotonic()
+
+    def _write(self, batch: list[bytes]) -> None:
+        joined = b"".join(batch)
+        if not joined or (self._has_room(len(joined)) and self._write_whole(joined)):
+            return
+        # The part is full, or a write failed: save what can be saved.
+        for record in batch:
+            if not self._has_room(len(record)):
+                self._begin_new_part()
+            if not (self._has_room(len(record)) and self._write_whole(record)):
+                self.failed += 1
+
+    def _has_room(self, size: int) -> bool:
+        return self._part_bytes is None or self._bytes + size <= self._part_bytes
+
+    def _begin_new_part(self) -> None:
+        """Rename the full file and begin a new one; if renaming fails, the file stays full."""
+        try:
+            if self.path.exists():  # not after an earlier attempt that got no further
+                self.path.replace(self.older_path)
+            descriptor = os.open(self.path, _FLAGS, 0o644)
+        except OSError as error:
+            self._warn(error)
+            return
+        os.close(self._fd)
+        self._fd, self._older_bytes, self._bytes = descriptor, self._bytes, 0
+
+    def _write_whole(self, data: bytes) -> bool:
+        """Return True if all of `data` was written; otherwise the file is left as it was."""
+        done = 0
+        try:
+            while done < len(data):
+                done += os.write(self._fd, data[done:])
+        except OSError as error:
+            if done:
+                with suppress(OSError):
+                    os.ftruncate(self._fd, os.fstat(self._fd).st_size - done)
+            self._warn(error)
+            return False
+        self._bytes += len(data)
+        return True
+
+    def _warn(self, error: OSError) -> None:
+        if not self._has_warned:
+            self._has_warned = True
+            logger.warning("%s: cannot be written (%s), records are lost", self.path, error)
+
+
+class BackgroundReplacer(WriterThread[Path]):
+    """Replaces files from one thread; `mode` is their permission bits before the umask."""
+
+    def __init__(self, name: str, mode: int = 0o666) -> None:
+        self.written = 0
+        self.overtaken = 0
+        """Contents that never reached the disk, because newer ones came first."""
+        self._mode = mode
+        self._waiting: dict[Path, bytes] = {}
+        self._lock = threading.Lock()
+        super().__init__(name, MAX_QUEUED)
+
+    def replace(self, path: Path, content: bytes) -> None:
+        """Replace the content of a file soon; after `close` it is counted as lost."""
+        with self._lock:
+            is_first = path not in self._waiting
+            self._waiting[path] = content
+        if is_first:
+            self.append(path)
+        else:
+            self.overtaken += 1
+
+    def write_batch(self, batch: list[Path]) -> None:
+        """Write the newest content of each file in the batch."""
+        for path in batch:
+            with self._lock:
+                content = self._waiting.pop(path)
+            try:
+                write_bytes_atomic(path, content, self._mode)
+            except CompanionError as error:
+                self.failed += 1
+                if self.failed == 1:
+                    logger.warning("%s", error)
+            else:
+                self.written += 1

@@ -13,8 +13,16 @@ from pathlib import Path
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.messages import radius_fields
 from companion.handoff import HandoffFiles
-from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterHealth
-from companion.io.files import EVENTS, INPUTS, RESULT, TLOG, plain
+from companion.io.files import (
+    CLOSE_TIMEOUT_S,
+    EVENTS,
+    INPUTS,
+    RESULT,
+    TLOG,
+    BackgroundReplacer,
+    WriterHealth,
+    plain,
+)
 from companion.io.links.link import NOTICE
 from companion.io.log_files import EventLog, InputLog, TlogWriter
 from companion.io.mcap_file import McapLog

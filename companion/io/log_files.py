@@ -28,9 +28,8 @@ import numpy as np
 from companion.errors import ConfigError
 from companion.guidance import events
 from companion.guidance.commands import Severity
-from companion.io.background_output import BackgroundFile
 from companion.io.checkpoints import CheckpointError, decode_memory, encode_memory
-from companion.io.files import OnDamage, json_line, read_file
+from companion.io.files import BackgroundFile, OnDamage, json_line, read_file
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.endpoint import Address
 from companion.mav.framing import (

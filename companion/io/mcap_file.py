@@ -26,8 +26,7 @@ from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.background_output import CLOSE_TIMEOUT_S, WriterThread
-from companion.io.files import json_line
+from companion.io.files import CLOSE_TIMEOUT_S, WriterThread, json_line
 from companion.io.log_files import frame_for_log
 
 FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"

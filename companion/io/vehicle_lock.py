@@ -38,8 +38,7 @@ from pathlib import Path
 import msgspec
 
 from companion.errors import ConfigError, LinkError
-from companion.io.background_output import BackgroundReplacer
-from companion.io.files import write_bytes_atomic, write_text_atomic
+from companion.io.files import BackgroundReplacer, write_bytes_atomic, write_text_atomic
 from companion.io.links.transports import OwnLine, Pty, SerialPort, Transport
 from companion.mav.signing import (
     AS_THE_GUIDE,

@@ -20,9 +20,8 @@ from typing import Protocol
 
 from companion.domain import Autopilot
 from companion.errors import ConfigError
-from companion.guidance.commands import Announce, Severity
+from companion.guidance.commands import Announce, Severity, Tuning, When
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived, Retuned
-from companion.guidance.session_params import Tuning, When
 from companion.link import outbound
 from companion.link.executor import SessionExecutor
 from companion.link.intake import RateLimit

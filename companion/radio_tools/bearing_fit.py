@@ -25,6 +25,7 @@ from companion.radio_tools.clustered_fit import (
     Labels,
     LinearFit,
     Matrix,
+    PoseTrack,
     Vector,
     figure,
     linear_fit,
@@ -32,7 +33,6 @@ from companion.radio_tools.clustered_fit import (
     solved,
     sums_of,
 )
-from companion.radio_tools.pose_track import PoseTrack
 
 SCAN_S = 2.5
 SCAN_STEP_S = 0.1

@@ -25,8 +25,16 @@ from companion.radio_tools.bearing_fit import (
     find_sense,
     fit_bearings,
 )
-from companion.radio_tools.clustered_fit import NORMAL_975, Figure, Flags, Labels, Vector
-from companion.radio_tools.pose_track import FieldTests, PoseTrack, find_tests
+from companion.radio_tools.clustered_fit import (
+    NORMAL_975,
+    FieldTests,
+    Figure,
+    Flags,
+    Labels,
+    PoseTrack,
+    Vector,
+    find_tests,
+)
 from companion.radio_tools.range_fit import (
     LEAST_SPEED_MPS,
     NLOS_SIGMAS,

@@ -21,7 +21,10 @@ from companion.radio_tools.clustered_fit import (
     Figure,
     Labels,
     Matrix,
+    PoseTrack,
+    Seen,
     Vector,
+    distances_of,
     linear_fit,
     mills,
     mirrored_sigma,
@@ -31,7 +34,6 @@ from companion.radio_tools.clustered_fit import (
     solved,
     sums_of,
 )
-from companion.radio_tools.pose_track import PoseTrack, Seen, distances_of
 
 K_LONG = 1.5
 """Errors above this multiple of sigma count linearly, as in the estimator."""

@@ -16,13 +16,13 @@ from companion.radio_tools.clustered_fit import (
     Figure,
     Labels,
     Matrix,
+    PoseTrack,
     Vector,
     linear_fit,
     mirrored_sigma,
     places_of,
     solved,
 )
-from companion.radio_tools.pose_track import PoseTrack
 from companion.radio_tools.range_fit import (
     LEAST_REGIONS,
     LEAST_SIGMA_M,

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import TextIO
 
 from companion.errors import printable
-from companion.io.background_output import WriterThread
+from companion.io.files import WriterThread
 from companion.io.links.link import NOTICE
 
 MAX_QUEUED = 1000

@@ -3,10 +3,13 @@
 Lengths are metres in the local frame, east first; times are seconds of the companion's clock. An
 unknown value is None. Texts are unescaped: a view has to escape them. The operator's
 next step is one or two short sentences at every moment.
+
+The flight as a line now and then, where there is no live screen.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -22,10 +25,12 @@ from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.events import OperatorCommand
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.handover import GRANT_HOW
-from companion.guidance.phases import PHASE_WORDS, Phase
+from companion.guidance.messages import radii_of
+from companion.guidance.phases import HAS_VEHICLE, PHASE_WORDS, Phase
 from companion.guidance.readiness import missing_inputs
 from companion.guidance.session import EmitterStatus, GuidanceSession, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
+from companion.run import FlightView
 from companion.search.searched_flight import GOOD_POD
 
 TAKE_BACK = "Any other mode takes control back at once."
@@ -385,3 +390,30 @@ class TimeToGo:
             return None
         to_go_s = (log_r95 - math.log(self._stop_radius_m)) / rate + self._confirm_s
         return to_go_s if to_go_s <= MAX_S else None
+
+
+log = logging.getLogger("companion.view")
+
+PERIOD_S = 15.0
+"""Seconds of the flight between two lines."""
+REPORTED_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
+"""Phases that are reported; on the ground every event has a text of its own, and a log must not
+grow without need."""
+
+
+class PlainView(FlightView):
+    """Logs the lines of one flight, whose texts are log lines already."""
+
+    def __init__(self) -> None:
+        self._next_s = -math.inf
+
+    def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
+        """Log a line if one is due."""
+        if now_s < self._next_s or endpoint.session.phase not in REPORTED_PHASES:
+            return
+        self._next_s = now_s + PERIOD_S
+        status = endpoint.session.status(now_s)
+        line = f"{status.time_s:7.1f} s  {status.phase.value}, flown {status.distance_m:.0f} m"
+        if status.estimate is not None:
+            line += f", {status.estimate.state.value} {radii_of(status.estimate)}"
+        log.info("%s", line)

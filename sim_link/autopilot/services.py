@@ -28,7 +28,7 @@ from sim_link.autopilot.control_inputs import (
     is_on_earth,
     sticks_from,
 )
-from sim_link.autopilot.flavours.base import ACCEPTED, DENIED, UNSUPPORTED
+from sim_link.autopilot.flavour import ACCEPTED, DENIED, UNSUPPORTED
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
     Channel,

@@ -16,15 +16,12 @@ import numpy as np
 from companion.domain import FlightMode, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from sim_link.autopilot.aircraft import Aircraft, Occurrence
+from sim_link.autopilot.ardupilot import commands as ardupilot_commands
+from sim_link.autopilot.ardupilot.firmware_profile import ardupilot_parameters
+from sim_link.autopilot.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.control_inputs import StickInput, Sticks, sticks_at
 from sim_link.autopilot.estimator import Estimator
-from sim_link.autopilot.flavours.ardupilot import commands as ardupilot_commands
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import ardupilot_parameters
-from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.base import AutopilotFlavour, Handler
-from sim_link.autopilot.flavours.px4 import commands as px4_commands
-from sim_link.autopilot.flavours.px4.firmware_profile import px4_parameters
-from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
+from sim_link.autopilot.flavour import AutopilotFlavour, Handler
 from sim_link.autopilot.incidents import (
     BatteryCharge,
     ClockRate,
@@ -44,6 +41,9 @@ from sim_link.autopilot.incidents import (
 from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.clock_protocols import StampClock
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
+from sim_link.autopilot.px4 import commands as px4_commands
+from sim_link.autopilot.px4.firmware_profile import px4_parameters
+from sim_link.autopilot.px4.flavour import Px4Flavour
 from sim_link.autopilot.scenario import FlavourName, Scenario
 from sim_link.world.point_mass import PointMass
 

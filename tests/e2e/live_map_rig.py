@@ -19,7 +19,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.io.flight_recorder import FlightJournal
 from companion.link.interface import Journal
 from companion.run import ViewedJournal

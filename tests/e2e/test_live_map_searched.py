@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario

@@ -27,9 +27,9 @@ from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterConfig
 from companion.estimation.tracker_params import EstimationConfig
 from companion.flight_setup import FlightFacts, build_endpoint, open_flight, write_facts
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
-from companion.guidance.session_params import SessionParams
 from companion.io.files import INPUTS
 from companion.io.flight_recorder import FlightJournal
 from companion.io.log_files import parse_inputs

@@ -20,8 +20,8 @@ from companion.domain import FlightMode, PositionEnu
 from companion.flight_setup import build_endpoint
 from companion.geometry.coordinates import enu_from_ned
 from companion.geometry.polygons import Point
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkRole, LinkSpec
 from companion.mav.dialect import Message, mavlink

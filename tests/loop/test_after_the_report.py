@@ -6,8 +6,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import AutopilotStall, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import AUTO, Loop, flown_once

@@ -15,7 +15,7 @@ from companion.cli import main
 from companion.config.schema import CompanionConfig
 from companion.errors import EXIT_BAD_INPUT, ConfigError
 from companion.flight_setup import FlightFacts, build_endpoint, write_facts
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, TLOG
 from companion.io.flight_recorder import FlightJournal
 from companion.io.log_files import Input, event_lines, read_inputs, read_tlog

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, RcParams, Scenario
 from sim_link.lab.faults.fault_models import KINDS, Fault, Schedule, fault_from
 from sim_link.lab.faults.faulty_link import Injector

@@ -11,8 +11,8 @@ from typing import Literal
 import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import IN_CONTROL, Phase
-from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import EkfJump, IncidentRecord, OriginShift
 from sim_link.autopilot.scenario import AutopilotParams, PayloadParams, Scenario
 from tests.loop.loop_helpers import Loop

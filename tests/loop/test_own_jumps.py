@@ -9,8 +9,8 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode, PositionEnu
 from companion.estimation.screen import RejectReason
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import FLYING, Phase
-from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from tests.loop.loop_helpers import AUTO, Loop, flown_once, outside
 from tools.campaign.flights import monitored_flight

@@ -19,10 +19,9 @@ from companion.flight_setup import (
     facts_as_json,
     write_facts,
 )
-from companion.guidance.commands import Severity
+from companion.guidance.commands import SessionParams, Severity
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import ProcessMessage
-from companion.guidance.session_params import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, MCAP, TLOG
 from companion.io.flight_recorder import FlightJournal
 from companion.io.log_files import event_lines

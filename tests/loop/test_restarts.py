@@ -8,8 +8,8 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import EstimateState, FlightMode
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import VehicleReboot
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario

@@ -12,9 +12,9 @@ from companion.config.schema import (
     PlannerConfig,
 )
 from companion.domain import FlightMode
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import QueueParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams, statement
 from companion.view.snapshot import searched_words

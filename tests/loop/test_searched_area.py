@@ -13,8 +13,8 @@ from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig
 from companion.domain import FlightMode
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker_params import EstimationConfig
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, mavlink
 from companion.run import is_handed_over

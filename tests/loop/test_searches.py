@@ -15,8 +15,8 @@ from companion.config.schema import (
 )
 from companion.geometry.polygons import Point, depth_m
 from companion.guard.limits import Fence
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams

@@ -10,8 +10,8 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode, RangingMeasurement
 from companion.geometry.coordinates import bearing_ned_from_enu, wrap_pi
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import Order, QueueParams
-from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink

@@ -11,8 +11,8 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode
 from companion.geometry.polygons import Point, depth_m
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import IN_CONTROL, Phase
-from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.view.snapshot import picture_of
 from sim_link.autopilot import incidents

@@ -28,9 +28,9 @@ from companion.estimation.window.window_map import WindowParams
 from companion.flight_setup import build_planner
 from companion.geometry.polygons import Point
 from companion.guard.gate import Guard
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import EmitterQueue
 from companion.guidance.session import GuidanceSession
-from companion.guidance.session_params import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, VehicleParams
 from companion.mav.codec import MavCodec

@@ -13,7 +13,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.geometry.polygons import Point
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.ranging import message_from_ranging

@@ -10,8 +10,7 @@ from companion.mav.addressing import targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
 from companion.mav.framing import frame_crc
-from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot
-from sim_link.autopilot.flavours.px4 import firmware_profile as px4
+from sim_link.autopilot.ardupilot import firmware_profile as ardupilot
 from sim_link.autopilot.protocols import parameter_protocol
 from sim_link.autopilot.protocols.addressing import (
     Addressing,
@@ -33,6 +32,7 @@ from sim_link.autopilot.protocols.message_streams import MessageRequests, Stream
 from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.protocols.plan_items import PlanStore, PlanType
+from sim_link.autopilot.px4 import firmware_profile as px4
 
 pytestmark = pytest.mark.slow
 

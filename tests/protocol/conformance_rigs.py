@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.mav.endpoint import Endpoint
 from companion.mav.signing import Signing, SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint

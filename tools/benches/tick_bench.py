@@ -28,9 +28,8 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint, build_planner
-from companion.guidance.commands import Severity
+from companion.guidance.commands import SessionParams, Severity
 from companion.guidance.emitters import QueueParams
-from companion.guidance.session_params import SessionParams
 from companion.kernel import IS_COMPILED
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message

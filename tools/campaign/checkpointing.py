@@ -6,7 +6,7 @@ So they can be damaged between a kill and the next start.
 from __future__ import annotations
 
 from companion.io import checkpoints
-from companion.process.persistence import RestartKeeper
+from companion.persistence import RestartKeeper
 from sim_link.lab.lockstep import Flight
 from sim_link.lab.observer import Observer
 

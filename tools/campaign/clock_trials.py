@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from sim_link.autopilot.incidents import ClockRate, ClockSlip
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.autopilot.vehicle import SimVehicle

@@ -13,7 +13,7 @@ import numpy as np
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.flight_setup import build_endpoint
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import Journal, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from companion.config.schema import CompanionConfig
 from companion.domain import PositionEnu
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.incidents import FaultRecord
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, PayloadParams, Scenario

@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.config import schema
 from companion.domain import FlightMode
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.link.interface import VehicleParams
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams

@@ -27,6 +27,7 @@ from companion.guidance.commands import (
     Record,
     ReportResult,
     SendSetpoint,
+    SessionParams,
     SetMode,
     WithdrawRequest,
 )
@@ -48,7 +49,6 @@ from companion.guidance.events import (
     VehicleMoved,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.link.interface import VehicleParams
 
 C = TypeVar("C", bound=Command)

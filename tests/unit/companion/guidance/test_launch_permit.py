@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.commands import Arm, SetMode, TakeOff
+from companion.guidance.commands import Arm, SessionParams, SetMode, TakeOff
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTO = SessionParams(engage="auto")

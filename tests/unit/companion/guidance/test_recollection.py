@@ -9,7 +9,7 @@ import pytest
 
 from companion.domain import Autopilot, EstimateState, FlightMode, WaypointReason
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.commands import Arm, SendSetpoint, TakeOff
+from companion.guidance.commands import Arm, SendSetpoint, SessionParams, TakeOff
 from companion.guidance.events import (
     AutopilotRestarted,
     MemoryRecalled,
@@ -18,7 +18,6 @@ from companion.guidance.events import (
 )
 from companion.guidance.phases import Phase
 from companion.guidance.recovery import ORIGIN_PATIENCE_S
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ORIGIN, TARGET, ScriptedFlight
 
 AUTO = SessionParams(engage="auto")

@@ -9,12 +9,11 @@ import pytest
 
 from companion.config.schema import LimitsConfig
 from companion.domain import Autopilot, FlightMode, LandedState, VehicleState
-from companion.guidance.commands import SendHeartbeat, SendSetpoint
+from companion.guidance.commands import SendHeartbeat, SendSetpoint, SessionParams
 from companion.guidance.events import (
     VehicleMoved,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import FlightMode
-from companion.guidance.commands import SendSetpoint
+from companion.guidance.commands import SendSetpoint, SessionParams
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     OperatorCommand,
@@ -15,7 +15,6 @@ from companion.guidance.events import (
     StopRequested,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

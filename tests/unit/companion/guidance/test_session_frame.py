@@ -8,14 +8,13 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.geometry.coordinates import LocalOrigin
-from companion.guidance.commands import Arm, SendSetpoint
+from companion.guidance.commands import Arm, SendSetpoint, SessionParams
 from companion.guidance.events import (
     AutopilotFenceRead,
     AutopilotRestarted,
     OriginSet,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ORIGIN, ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import silent_since
 

@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 
 from companion.domain import BatteryLevel, FlightMode, PositionEnu
-from companion.guidance.commands import Record
+from companion.guidance.commands import Record, SessionParams
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import (
     BatteryReported,
@@ -18,7 +18,6 @@ from companion.guidance.events import (
     UncleanExitFound,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 NEAR, FAR = (25.0, 20.0, 0.0), (60.0, 30.0, 0.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from companion.errors import CompanionError
-from companion.io import background_output
-from companion.io.background_output import BackgroundFile
+from companion.io import files
+from companion.io.files import BackgroundFile
 
 PATIENCE_S = 30.0
 """For a writer that a busy machine keeps waiting; half of what a disk hangs."""
@@ -77,11 +77,11 @@ def test_a_hanging_disk_never_holds_up_the_caller(
         return real_write(fd, data)
 
     monkeypatch.setattr(os, "write", hang)
-    monkeypatch.setattr(background_output, "MAX_QUEUED", 5)
+    monkeypatch.setattr(files, "MAX_QUEUED", 5)
     file = BackgroundFile(tmp_path / "log")
     for _ in range(5000):
         file.append(b"x")
-    assert file.dropped >= 5000 - 5 - background_output.MAX_BATCH
+    assert file.dropped >= 5000 - 5 - files.MAX_BATCH
     file.close(0.05)
     assert file.health.is_alive
     released.set()
@@ -181,7 +181,7 @@ def test_a_full_queue_ends_and_loses_nothing_of_what_it_holds(
         return real_write(fd, data)
 
     monkeypatch.setattr(os, "write", hang)
-    monkeypatch.setattr(background_output, "MAX_QUEUED", 3)
+    monkeypatch.setattr(files, "MAX_QUEUED", 3)
     file = BackgroundFile(tmp_path / "log")
     file.append(b"0")
     assert began.wait(PATIENCE_S)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from companion.errors import CompanionError
-from companion.io import background_output
-from companion.io.background_output import BackgroundReplacer
+from companion.io import files
+from companion.io.files import BackgroundReplacer
 
 PATIENCE_S = 30.0
 """For a writer that a busy machine keeps waiting; half of what a disk hangs."""
@@ -38,7 +38,7 @@ def test_a_hanging_disk_holds_up_nobody_and_costs_only_history(
         released.wait(60.0)
         written.append(content)
 
-    monkeypatch.setattr(background_output, "write_bytes_atomic", hang)
+    monkeypatch.setattr(files, "write_bytes_atomic", hang)
     replacer = BackgroundReplacer("test")
     replacer.replace(tmp_path / "state", b"first")
     assert began.wait(PATIENCE_S)
@@ -65,7 +65,7 @@ def test_a_full_disk_is_counted_told_once_and_tried_again(
             raise CompanionError("state: cannot be written (No space left on device)")
         done.set()
 
-    monkeypatch.setattr(background_output, "write_bytes_atomic", refuse)
+    monkeypatch.setattr(files, "write_bytes_atomic", refuse)
     replacer = BackgroundReplacer("test")
     with caplog.at_level(logging.WARNING, "companion.io"):
         for content in (b"1", b"2", b"3"):

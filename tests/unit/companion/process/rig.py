@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
-from companion.io.background_output import WriterHealth
+from companion.io.files import WriterHealth
 from companion.io.flight_recorder import BlackBox
 from companion.io.links.link import Link
 from companion.link.endpoint import CompanionEndpoint

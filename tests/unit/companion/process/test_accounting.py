@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.process import diagnostics
-from companion.process.diagnostics import process_use
+from companion import diagnostics
+from companion.diagnostics import process_use
 
 
 def test_descriptors_and_threads_are_counted() -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+from companion.diagnostics import ProcessDiagnostics, ProcessParts
 from companion.io.links.link import LinkCounters
 from companion.io.shell import TimerStatistics
-from companion.process.diagnostics import ProcessDiagnostics, ProcessParts
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
+from companion.diagnostics import LinkWatch
 from companion.io.links.byte_streams import TcpClientLink
 from companion.io.links.link import Link
 from companion.io.links.udp import UdpLink
-from companion.process.diagnostics import LinkWatch
 from tests.unit.companion.link.wire import Journal
 
 

@@ -11,7 +11,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.config.tunables import TUNABLES, Tunables
 from companion.errors import ConfigError
 from companion.flight_setup import build_planner
-from companion.process.persistence import ParameterKeeper
+from companion.persistence import ParameterKeeper
 
 INDEX = {tunable.name: index for index, tunable in enumerate(TUNABLES)}
 

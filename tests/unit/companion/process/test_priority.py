@@ -16,7 +16,7 @@ PR_CAPBSET_DROP, CAP_SYS_NICE = 24, 23
 """Of linux/prctl.h and linux/capability.h."""
 SHOW = """
 import os, subprocess, sys, threading, time
-from companion.process.diagnostics import raised_priority
+from companion.diagnostics import raised_priority
 
 def policy():
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
@@ -47,7 +47,7 @@ os.sched_setscheduler, os.setpriority = refuse, refuse_below
 """
 RUN_ON = """
 import logging, os, time
-from companion.process import diagnostics
+from companion import diagnostics
 
 logging.basicConfig(format="%(message)s")
 diagnostics.LONGEST_RUN_S = 0.2

@@ -13,12 +13,12 @@ import pytest
 from companion.config.schema import CompanionConfig, LimitsConfig, LogConfig
 from companion.domain import LandedState
 from companion.geometry.geofence import GeoArea, GeoFence
+from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import QueueParams
 from companion.guidance.events import AutopilotFenceRead, LandedStateChanged
-from companion.guidance.session_params import SessionParams
 from companion.io.checkpoints import Moment
 from companion.link.endpoint import CompanionEndpoint
-from companion.process.persistence import RestartKeeper
+from companion.persistence import RestartKeeper
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint, hear_autopilot
 from tools.campaign.checkpointing import MemoryStore
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.process.diagnostics import ALIVE, READY, STOPPING, Supervisor
+from companion.diagnostics import ALIVE, READY, STOPPING, Supervisor
 
 
 @contextmanager

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import pytest
 
+from companion.diagnostics import ProcessParts, Supervisor, Watchdog
 from companion.io.shell import TimerStatistics
-from companion.process.diagnostics import ProcessParts, Supervisor, Watchdog
 from tests.unit.companion.process.rig import StillLink, WatchedNotes, an_endpoint
 
 

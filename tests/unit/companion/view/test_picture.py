@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.estimation.antenna import AntennaKind, AntennaParams
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.io.files import plain
 from companion.view.snapshot import picture_of, scene_of
 from sim_link.autopilot.scenario import Scenario

@@ -16,8 +16,7 @@ from rich.console import Console
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.session import EmitterStatus
-from companion.view.console import PlainView
-from companion.view.snapshot import FlightSnapshot, flight_snapshot
+from companion.view.snapshot import FlightSnapshot, PlainView, flight_snapshot
 from companion.view.terminal import TerminalView, screen
 from tests.loop.loop_helpers import Loop
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState, VehicleClass
-from companion.guidance.commands import Arm, SendSetpoint, SetMode, TakeOff
+from companion.guidance.commands import Arm, SendSetpoint, SessionParams, SetMode, TakeOff
 from companion.guidance.control import TICK_S
 from companion.guidance.events import (
     AutopilotRestarted,
@@ -28,7 +28,6 @@ from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]

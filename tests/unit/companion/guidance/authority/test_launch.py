@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.commands import Arm, Command, SendSetpoint, SetMode, TakeOff
+from companion.guidance.commands import Arm, Command, SendSetpoint, SessionParams, SetMode, TakeOff
 from companion.guidance.events import (
     HeartbeatReceived,
     Outcome,
@@ -17,7 +17,6 @@ from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.vehicle import mode_name
 from companion.guidance.launch import Launch, LaunchView, Stage
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTO = SessionParams(engage="auto", altitude_m=20.0)

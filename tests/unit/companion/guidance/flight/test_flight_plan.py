@@ -9,10 +9,9 @@ import pytest
 from companion.config.schema import LimitsConfig, PlannerConfig
 from companion.domain import FlightMode, Waypoint, WaypointReason
 from companion.geometry.polygons import depth_m
-from companion.guidance.commands import Record
+from companion.guidance.commands import Record, SessionParams
 from companion.guidance.flight.navigation import PLAN_PERIOD_S
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest
 from tests.unit.companion.guidance.scripted import TARGET, ScriptedFlight

@@ -10,11 +10,10 @@ import pytest
 
 from companion.config.schema import PlannerConfig
 from companion.domain import Autopilot, FlightMode, LandedState
-from companion.guidance.commands import SendSetpoint
+from companion.guidance.commands import SendSetpoint, SessionParams
 from companion.guidance.control import TICK_S
 from companion.guidance.findings import Reason
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 

@@ -3,10 +3,9 @@
 import pytest
 
 from companion.domain import FlightMode
-from companion.guidance.commands import Announce, SendSetpoint
+from companion.guidance.commands import Announce, SendSetpoint, SessionParams
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived, StopRequested
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from companion.guidance.commands import StickReaction
 from companion.guidance.events import RcStatusReported, SticksReported
 from companion.guidance.findings import Verdict
 from companion.guidance.health.contention import StickWatch
-from companion.guidance.session_params import StickReaction
 
 REST = (0.0, 0.0, -1.0, 0.0)
 """Roll, pitch, throttle without a spring, yaw."""

@@ -13,11 +13,11 @@ from companion.mav.dialect import (
 )
 from companion.mav.endpoint import Chunk
 from companion.mav.signing import LinkSigning, Signing, SigningKey, is_signed
-from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
-from sim_link.autopilot.flavours.base import Firmware
-from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
+from sim_link.autopilot.ardupilot import firmware_profile as ardupilot_firmware
+from sim_link.autopilot.flavour import Firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing
 from sim_link.autopilot.protocols.link_layer import LinkLayer, LinkSecurity
+from sim_link.autopilot.px4 import firmware_profile as px4_firmware
 
 UDP, TCP, WIRE = 0, 1, 2
 STATION = ("127.0.0.1", 14550)

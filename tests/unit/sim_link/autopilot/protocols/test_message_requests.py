@@ -5,8 +5,7 @@ import math
 import pytest
 
 from companion.mav.dialect import Message, mavlink
-from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
-from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
+from sim_link.autopilot.ardupilot import firmware_profile as ardupilot_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
 from sim_link.autopilot.protocols.message_streams import (
@@ -15,6 +14,7 @@ from sim_link.autopilot.protocols.message_streams import (
     RequestProfile,
     StreamProfile,
 )
+from sim_link.autopilot.px4 import firmware_profile as px4_firmware
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
     COMPANION_CHANNEL,

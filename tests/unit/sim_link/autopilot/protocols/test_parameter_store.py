@@ -6,9 +6,9 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.mav.param_encoding import ParamEncoding, ParamType
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
-from sim_link.autopilot.flavours.px4.firmware_profile import PX4_PARAMETERS
+from sim_link.autopilot.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, ParamSpec
+from sim_link.autopilot.px4.firmware_profile import PX4_PARAMETERS
 
 ACTION = ParamSpec("ACTION", ParamType.INT32, 2, 0, 5)
 ALTITUDE = ParamSpec("ALTITUDE", ParamType.REAL32, 2.5, 0.0, 80.0, "m")

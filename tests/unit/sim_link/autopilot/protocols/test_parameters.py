@@ -9,8 +9,7 @@ import pytest
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.param_encoding import ParamType, raw_of
-from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
-from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
+from sim_link.autopilot.ardupilot import firmware_profile as ardupilot_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.parameter_protocol import (
     HASH_CHECK,
@@ -21,6 +20,7 @@ from sim_link.autopilot.protocols.parameter_protocol import (
     ParameterStore,
     ParamSpec,
 )
+from sim_link.autopilot.px4 import firmware_profile as px4_firmware
 from tests.unit.sim_link.autopilot.protocols.wire import (
     COMPANION,
     COMPANION_CHANNEL,

@@ -7,10 +7,10 @@ import math
 import pytest
 
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.flavours.ardupilot import firmware_profile as ardupilot_firmware
-from sim_link.autopilot.flavours.px4 import firmware_profile as px4_firmware
+from sim_link.autopilot.ardupilot import firmware_profile as ardupilot_firmware
 from sim_link.autopilot.protocols.plan_items import CurrentChosen, PlanChanged, PlanItem, PlanResult
 from sim_link.autopilot.protocols.plan_rules import PlanRules
+from sim_link.autopilot.px4 import firmware_profile as px4_firmware
 from tests.unit.sim_link.autopilot.protocols.plan_client import (
     FENCE,
     HOME,

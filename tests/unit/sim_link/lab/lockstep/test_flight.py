@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import Scenario
 from sim_link.autopilot.vehicle import SimVehicle

@@ -10,10 +10,10 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance import control_authority
+from companion.guidance.commands import SessionParams
 from companion.guidance.control_authority import Authority
 from companion.guidance.events import HeartbeatReceived
 from companion.guidance.phases import Phase
-from companion.guidance.session_params import SessionParams
 from companion.mav.dialect import mavlink
 from companion.mav.framing import message_id
 from sim_link.autopilot.incidents import BatteryCharge

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import StationFence

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.config.schema import CompanionConfig
+from companion.guidance.commands import SessionParams
 from companion.guidance.phases import IN_CONTROL, Phase
-from companion.guidance.session_params import SessionParams
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.autopilot.vehicle_types import VehicleTypeName

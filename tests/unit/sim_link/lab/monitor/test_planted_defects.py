@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.domain import FlightMode
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from sim_link.autopilot.incidents import EkfJump, GpsLoss, PilotMode, WindChange
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import (

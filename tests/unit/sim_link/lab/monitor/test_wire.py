@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
-from companion.guidance.session_params import SessionParams
+from companion.guidance.commands import SessionParams
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.incidents import PilotMode

@@ -17,14 +17,14 @@ from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import PX4_MAIN_AND_SUB
-from sim_link.autopilot.flavours.base import read_firmware
+from sim_link.autopilot.flavour import read_firmware
 from sim_link.autopilot.pilot import STEP_S, SpeedLimits, Task
 from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import LossAction, Scenario
 
-PACKAGE = "sim_link.autopilot.flavours.px4"
+PACKAGE = "sim_link.autopilot.px4"
 PX4_PARAMETERS = read_specs(PACKAGE)
 OFFBOARD_LOSS_ACTION: dict[LossAction, int] = {
     **{"position": 0, "return": 3, "land": 4},

@@ -45,8 +45,8 @@ from pathlib import Path
 
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
-from companion.io.background_output import BackgroundReplacer
 from companion.io.checkpoints import CheckpointStore
+from companion.io.files import BackgroundReplacer
 from companion.io.flight_recorder import BlackBox
 from companion.io.links.byte_streams import StreamLink
 from companion.io.links.link import Link

@@ -44,7 +44,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, px4_custom_mode
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.control_inputs import MOVED, NOTHING, Axes, Echo, Setpoint, TargetMessage
-from sim_link.autopilot.flavours.base import (
+from sim_link.autopilot.flavour import (
     ACCEPTED,
     DENIED,
     TEMPORARILY_REJECTED,
@@ -52,8 +52,11 @@ from sim_link.autopilot.flavours.base import (
     FenceState,
     HeartbeatState,
 )
-from sim_link.autopilot.flavours.px4.control import Px4Failsafes, Reaction, setpoint_from
-from sim_link.autopilot.flavours.px4.firmware_profile import (
+from sim_link.autopilot.mission_executor import LegKind
+from sim_link.autopilot.pilot import Task
+from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
+from sim_link.autopilot.px4.control import Px4Failsafes, Reaction, setpoint_from
+from sim_link.autopilot.px4.firmware_profile import (
     AUTO_FLAGS,
     BASE_MODE_FLAGS,
     ENDED_BY_DISARMING,
@@ -63,9 +66,6 @@ from sim_link.autopilot.flavours.px4.firmware_profile import (
     WITHOUT_POSITION_CONTROL,
     speed_limits,
 )
-from sim_link.autopilot.mission_executor import LegKind
-from sim_link.autopilot.pilot import Task
-from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 
 OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
 THROTTLE_LOW, THROTTLE_ABOVE_CENTRE = -0.8, 0.2

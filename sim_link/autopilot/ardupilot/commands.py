@@ -12,9 +12,8 @@ from collections.abc import Mapping
 
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
-from sim_link.autopilot.control_inputs import Setpoint
-from sim_link.autopilot.flavours.ardupilot.control import OUT_OF_SIGHT_M, Target
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
+from sim_link.autopilot.ardupilot.control import OUT_OF_SIGHT_M, Target
+from sim_link.autopilot.ardupilot.firmware_profile import (
     AUTO,
     CLIMB,
     DESCENT,
@@ -26,8 +25,9 @@ from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     NEVER_ENTERED,
     RTL,
 )
-from sim_link.autopilot.flavours.ardupilot.flavour import ArduPilotFlavour
-from sim_link.autopilot.flavours.base import (
+from sim_link.autopilot.ardupilot.flavour import ArduPilotFlavour
+from sim_link.autopilot.control_inputs import Setpoint
+from sim_link.autopilot.flavour import (
     ACCEPTED,
     DENIED,
     FAILED,

@@ -14,21 +14,14 @@ from companion.domain import FlightMode, PositionEnu
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.aircraft import Aircraft
-from sim_link.autopilot.control_inputs import (
-    THROTTLE_DOWN,
-    AttitudeTarget,
-    Echo,
-    Setpoint,
-    TargetMessage,
-)
-from sim_link.autopilot.flavours.ardupilot.control import (
+from sim_link.autopilot.ardupilot.control import (
     CopterFailsafes,
     FailsafeEvent,
     Guided,
     GuidedState,
     target_from,
 )
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
+from sim_link.autopilot.ardupilot.firmware_profile import (
     AUTO,
     BY_WHAT_IT_DOES,
     CLIMB,
@@ -42,7 +35,14 @@ from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
     CopterMode,
     available_modes,
 )
-from sim_link.autopilot.flavours.base import (
+from sim_link.autopilot.control_inputs import (
+    THROTTLE_DOWN,
+    AttitudeTarget,
+    Echo,
+    Setpoint,
+    TargetMessage,
+)
+from sim_link.autopilot.flavour import (
     ACCEPTED,
     FAILED,
     AutopilotFlavour,

@@ -18,13 +18,13 @@ from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import OFFBOARD_NUMBER
-from sim_link.autopilot.flavours.base import read_firmware
+from sim_link.autopilot.flavour import read_firmware
 from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import Scenario
 
-PACKAGE = "sim_link.autopilot.flavours.ardupilot"
+PACKAGE = "sim_link.autopilot.ardupilot"
 ARDUPILOT_PARAMETERS = read_specs(PACKAGE)
 
 

@@ -38,7 +38,6 @@ from companion.guidance.emitters import Progress
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
 from companion.guidance.flight.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
-from companion.io.background_output import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterThread
 from companion.io.checkpoints import (
     Checkpoint,
     MissionKey,
@@ -47,7 +46,7 @@ from companion.io.checkpoints import (
     age_s,
     present_moment,
 )
-from companion.io.files import write_bytes_atomic
+from companion.io.files import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterThread, write_bytes_atomic
 from companion.io.flight_recorder import FlightJournal
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState

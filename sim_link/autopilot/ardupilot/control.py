@@ -36,6 +36,15 @@ from companion.geometry.coordinates import enu_from_ned, wrap_pi
 from companion.mav import dialect
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.aircraft import CELLS, Aircraft
+from sim_link.autopilot.ardupilot.firmware_profile import (
+    ALT_HOLD,
+    BRAKE,
+    GUIDED,
+    LAND,
+    RTL,
+    SMART_RTL,
+    CopterMode,
+)
 from sim_link.autopilot.control_inputs import (
     NOTHING,
     Axes,
@@ -47,15 +56,6 @@ from sim_link.autopilot.control_inputs import (
     enu_of,
     is_on_earth,
     turned,
-)
-from sim_link.autopilot.flavours.ardupilot.firmware_profile import (
-    ALT_HOLD,
-    BRAKE,
-    GUIDED,
-    LAND,
-    RTL,
-    SMART_RTL,
-    CopterMode,
 )
 from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore

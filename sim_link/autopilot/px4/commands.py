@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, px4_mode
-from sim_link.autopilot.flavours.base import (
+from sim_link.autopilot.flavour import (
     ACCEPTED,
     DENIED,
     MAX_HEIGHT_M,
@@ -29,9 +29,9 @@ from sim_link.autopilot.flavours.base import (
     set_home,
     terminate,
 )
-from sim_link.autopilot.flavours.px4.firmware_profile import MAIN_MODES
-from sim_link.autopilot.flavours.px4.flavour import Px4Flavour
 from sim_link.autopilot.protocols.command_protocol import UNANSWERED, Command
+from sim_link.autopilot.px4.firmware_profile import MAIN_MODES
+from sim_link.autopilot.px4.flavour import Px4Flavour
 
 GLOBAL = mavlink.MAV_FRAME_GLOBAL
 
