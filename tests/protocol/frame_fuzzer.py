@@ -17,6 +17,7 @@ import numpy as np
 
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk, Endpoint
+from companion.mav.framing import message_id
 from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
 from sim_link.lab.conformance.rules import Flavour
 
@@ -272,9 +273,15 @@ class FuzzCampaign:
 
 
 def own_frames(endpoint: Endpoint) -> list[bytes]:
-    """Return the frames that a vehicle sends without those it only forwards."""
+    """Return the frames that a vehicle sends without those it only forwards.
+
+    Nor answers to TIMESYNC: ArduPilot dates them back by the bytes that wait on the line, and so by
+    those that mean nothing to it.
+    """
     return [
         chunk.data
         for chunk in endpoint.take_output()
-        if len(chunk.data) > 6 and chunk.data[5] == VEHICLE_SYSTEM
+        if len(chunk.data) > 6
+        and chunk.data[5] == VEHICLE_SYSTEM
+        and message_id(chunk.data) != mavlink.MAVLINK_MSG_ID_TIMESYNC
     ]

@@ -1,6 +1,9 @@
-"""Some thousand random frames against the simulator; `tools/fuzz/fuzz_sim.py` sends a million."""
+"""Random frames against the simulator: some thousand, and in the campaign a million."""
 
 from __future__ import annotations
+
+import gc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +18,25 @@ from tests.protocol.tampered import Tampered, set_byte
 
 FRAMES = 8_000
 FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour: flavour.value)
+
+
+def in_use() -> tuple[float, int]:
+    """Resident megabytes and objects of the interpreter."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * 4096 / 1e6, len(gc.get_objects())
+
+
+@pytest.mark.campaign
+@FLAVOURS
+def test_half_a_million_random_frames_break_nothing_and_take_no_memory(flavour: Flavour) -> None:
+    campaign = FuzzCampaign(lambda: simulator(flavour), np.random.default_rng(1), flavour)
+    campaign.run(100_000)
+    settled_mb, settled = in_use()
+    campaign.run(400_000)
+    resident_mb, objects = in_use()
+    assert resident_mb - settled_mb <= 16.0
+    assert objects - settled <= 20_000
 
 
 @pytest.mark.slow
