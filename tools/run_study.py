@@ -1,6 +1,6 @@
 """Runs a study and writes its tables, figures and report; killed or stopped, it can be resumed.
 
-Exit code 1: stopped, a backend failed, or a built-in check failed. 2: bad input.
+Exit code 1: stopped, a backend failed, or a limit is exceeded. 2: bad input.
 """
 
 from __future__ import annotations
@@ -24,12 +24,11 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
 from tools.console import OneLineParser, non_negative, positive, shown
-from tools.study.ekf_check import LARGEST_DIFFERENCE_M, EkfCheck
 from tools.study.field_flights import flights_of, fly_all, rows_kept
 from tools.study.power_pairs import PowerPair, fly_both, table_of_power
 from tools.study.reporting.area_report import write_area_report
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
-from tools.study.reporting.study_report import Section, write_page, write_report
+from tools.study.reporting.study_report import Section, sections_of, write_page
 from tools.study.reporting.study_tables import (
     rows_of,
     studies_of,
@@ -44,14 +43,12 @@ from tools.study.study_run import (
     FOLDER_NAME,
     PlannedStudy,
     Store,
-    Work,
     carried_out,
     cost_of,
     planned,
     results_of,
     work_of,
 )
-from tools.study.trials import RunSeries
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 
@@ -124,23 +121,19 @@ def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -
             say("kernels that were not compiled before take a minute or two first")
             with shown(sum(map(cost_of, left.values())), sys.stderr) as on_done:
                 carried_out(left, pool, store, on_done)
-        return written(studies, work, store, arguments.seed, out)
+        written(studies, store, arguments.seed, out)
+    return 0
 
 
-def written(studies: list[PlannedStudy], work: Work, store: Store, seed: int, out: Path) -> int:
-    """Write tables, checks and the report of finished work."""
+def written(studies: list[PlannedStudy], store: Store, seed: int, out: Path) -> None:
+    """Write tables and the report of finished work."""
     results = results_of(studies, seed, store)
     rows = [row for result in results for row in rows_of(result)]
-    costs, checks = costs_of(results), checks_of(work, store)
+    costs = costs_of(results)
     write_text_atomic(out / "results.csv", csv_text(rows))
     write_text_atomic(out / "costs.csv", csv_text(costs))
-    write_json_atomic(out / "checks.json", checks)
-    write_report(out, results, rows, costs, checks)
-    say(f"{out}: results.csv, costs.csv, checks.json, report.html")
-    failed = [name for name, check in checks.items() if not check["is_met"]]
-    for name in failed:
-        print(f"run_study: the check {name} failed, see {out / 'checks.json'}", file=sys.stderr)
-    return 1 if failed else 0
+    write_page(out, sections_of(results, rows), rows, costs)
+    say(f"{out}: results.csv, costs.csv, report.html")
 
 
 def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
@@ -271,34 +264,6 @@ def csv_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
     writer.writerow(names)
     writer.writerows([getattr(row, name) for name in names] for row in rows)
     return text.getvalue()
-
-
-def checks_of(work: Mapping[str, RunSeries], store: Store) -> dict[str, dict[str, object]]:
-    """Return the built-in check of the EKF for checks.json; empty without an EKF."""
-    checks = {key: task for key, task in work.items() if isinstance(task, EkfCheck)}
-    if not checks:
-        return {}
-    gaps = {key: _difference(text) for key, text in store.found(checks).items()}
-    worst = max(gaps, key=lambda key: gaps[key])
-    return {
-        "ekf_is_filterpys": {
-            "what": "largest difference between the EKF of the tables and filterpy's filter after "
-            "an update from the same state, with the same measurement from the same place, of a "
-            "coordinate or the range offset, metres",
-            "cells": len(checks),
-            "runs_of_each": max(check.runs for check in checks.values()),
-            "largest_difference_m": gaps[worst],
-            "limit_m": LARGEST_DIFFERENCE_M,
-            "is_met": gaps[worst] <= LARGEST_DIFFERENCE_M,
-            "worst_system": checks[worst].system.label,
-            "worst_case": msgspec.to_builtins(checks[worst].case),
-        }
-    }
-
-
-def _difference(text: bytes) -> float:
-    gap = msgspec.json.decode(text)
-    return float("inf") if gap is None else float(gap)  # JSON has no infinity
 
 
 def check_folder(path: Path) -> None:

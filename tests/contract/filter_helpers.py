@@ -20,13 +20,13 @@ from companion.kernel import Vector
 from tests.contract.hostile_sequences import MakeFilter, fault_of
 from tools.study.admm_ekf import RECURSIVE
 
-FILTERPY = "tools.study.filterpy_ekf"
+FILTERPY = "tests.oracle.filterpy_ekf"
 
 
 def filters() -> dict[str, MakeFilter]:
     """All filters, the third-party one where it is there."""
     makers: dict[str, MakeFilter] = dict(RECURSIVE)
-    if importlib.util.find_spec(FILTERPY) and importlib.util.find_spec("filterpy"):
+    if importlib.util.find_spec("filterpy"):
         makers["filterpy"] = importlib.import_module(FILTERPY).FilterpyEkf
     return makers
 

@@ -12,7 +12,7 @@ from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.kalman import Ekf
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.kernel import Vector
-from tools.study.filterpy_ekf import FilterpyEkf
+from tests.oracle.filterpy_ekf import FilterpyEkf
 
 PLANE = FilterParams(own_position_sigma_m=0.0)
 LAYOUTS = {

@@ -18,8 +18,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
 from companion.kernel import IS_COMPILED
 from sim_link.lab.pool import Pool, sources_digest
-from tools.study import ekf_check, trials
-from tools.study.ekf_check import EkfCheck
+from tools.study import trials
 from tools.study.study import Cell, CellResult, Study, StudyResult, cells_of
 from tools.study.systems import FilterName
 from tools.study.trials import RunSeries
@@ -57,9 +56,9 @@ class Store:
 
 
 Work = Mapping[str, RunSeries]
-"""Results of the studies by key, each once: blocks of runs and checks of the EKF."""
+"""Results of the studies by key, each once: blocks of runs."""
 
-COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0, "filterpy": 120.0}
+COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0}
 """Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""
 USUAL_COST_MS = 1.7
 USUAL_STEPS = 500
@@ -91,11 +90,7 @@ def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
     work: dict[str, RunSeries] = {}
     for study in studies:
         for cell in study.cells:
-            found = study.blocks(cell, seed)
-            if cell.system.filter == "ekf":
-                runs = min(ekf_check.CHECKED_RUNS, study.runs)
-                found.append(EkfCheck(cell.case, cell.system, seed, runs))
-            work.update((task_key(task), task) for task in found)
+            work.update((task_key(task), task) for task in study.blocks(cell, seed))
     return work
 
 
@@ -133,10 +128,7 @@ def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
     """Carry out tasks, and return the encoded result of the last one."""
     result = b""
     for task in tasks:
-        if isinstance(task, EkfCheck):
-            result = msgspec.json.encode(ekf_check.largest_difference_m(task))
-        else:
-            result = trials.tally_of(task).packed()
+        result = trials.tally_of(task).packed()
     return result
 
 
@@ -158,12 +150,12 @@ def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list
 
 def task_key(task: RunSeries) -> str:
     """Key of a task in the store."""
-    kind = "ekf check" if isinstance(task, EkfCheck) else "tally"
-    parts = (kind, task.seed, task.first, task.runs, sources_digest())
+    parts = ("tally", task.seed, task.first, task.runs, sources_digest())
     return key_of(task.case, task.system, *parts)
 
 
 def cost_of(task: RunSeries) -> float:
     """Rough duration of a task, ms."""
-    name = "filterpy" if isinstance(task, EkfCheck) else task.system.filter
-    return COST_MS.get(name, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS
+    return (
+        COST_MS.get(task.system.filter, USUAL_COST_MS) * task.runs * task.case.steps / USUAL_STEPS
+    )

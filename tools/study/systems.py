@@ -145,12 +145,11 @@ def flown(
     return record, radii
 
 
-FilterName = Literal["ekf", "filterpy", "huber", "admm", "asymmetric_huber", "map", "tracker"]
+FilterName = Literal["ekf", "huber", "admm", "asymmetric_huber", "map", "tracker"]
 PlannerName = Literal["passive", "reactive", "latched", "fim", "fim_printed"]
 
 FILTER_LABELS: dict[FilterName, str] = {
     "ekf": "EKF",
-    "filterpy": "EKF (filterpy)",
     "huber": "Huber",
     "admm": "ADMM",
     "asymmetric_huber": "Proposed",
@@ -261,13 +260,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
         raise ValueError("the window alone is no class: fly the tracker, which has one")
     if system.filter == "tracker":
         return fuse_by_tracker(TargetTracker(TrackerParams(filter=case.belief)))
-    target_filter: TargetFilter
-    if system.filter == "filterpy":
-        from tools.study.filterpy_ekf import FilterpyEkf  # takes a second to import
-
-        target_filter = FilterpyEkf(case.belief)
-    else:
-        target_filter = recursive_filter_of(case, system)
+    target_filter = recursive_filter_of(case, system)
     east_m, north_m = start_enu_m.tolist()
     start = None if math.isnan(east_m) else (east_m, north_m)
     return fuse_by_filter(target_filter, case.belief, start)

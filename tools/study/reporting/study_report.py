@@ -72,25 +72,13 @@ class Section:
     tables: tuple[TableView, ...]
 
 
-def write_report(
-    out: Path,
-    results: Sequence[StudyResult],
-    rows: Sequence[ResultRow],
-    costs: Sequence[ResultRow],
-    checks: Mapping[str, object],
-) -> None:
-    """Write the figures, PNG and SVG, and `report.html`; raises a CompanionError if that fails."""
-    write_page(out, sections_of(results, rows), rows, costs, checks)
-
-
 def write_page(
     out: Path,
     sections: Sequence[Section],
     rows: Sequence[ResultRow],
     costs: Sequence[ResultRow] = (),
-    checks: Mapping[str, object] | None = None,
 ) -> None:
-    """Write figures and page of sections that are drawn and tabled; as `write_report`."""
+    """Write the figures, PNG and SVG, and `report.html`; raises a CompanionError if that fails."""
     results = [section.result for section in sections]
     folder = out / FIGURES
     try:
@@ -100,7 +88,7 @@ def write_page(
     for drawing in (drawing for section in sections for drawing in section.drawings):
         write_bytes_atomic(folder / f"{drawing.name}.svg", drawing.svg.encode())
         write_bytes_atomic(folder / f"{drawing.name}.png", drawing.png)
-    text = page(results, sections, rows, costs, checks or {}, provenance())
+    text = page(results, sections, rows, costs, provenance())
     write_text_atomic(out / "report.html", text)
 
 
@@ -122,7 +110,6 @@ def page(
     sections: Sequence[Section],
     rows: Sequence[ResultRow],
     costs: Sequence[ResultRow],
-    checks: Mapping[str, object],
     made_with: Mapping[str, str],
 ) -> str:
     """Return the page as text."""
@@ -139,7 +126,6 @@ def page(
         counts=count_verdicts([table for section in sections for table in section.tables]),
         sections=sections,
         costs=cost_tables,
-        checks=checks_of(checks),
         tornado=tornado_of(results),
         open_points=open_points(Case()) if any(result.cells for result in results) else (),
         made_with=made_with,
@@ -161,23 +147,6 @@ def verdict_line(claims: Sequence[Claim]) -> str:
     if met == len(claims):
         return f"All {met} claims that this run can judge are met"
     return f"{met} of {len(claims)} claims are met"
-
-
-def checks_of(checks: Mapping[str, object]) -> list[dict[str, object]]:
-    """Return the checks for the page; deeper levels are left to checks.json."""
-    found: list[dict[str, object]] = []
-    for name, value in checks.items():
-        entries = dict(value) if isinstance(value, Mapping) else {"value": value}
-        what, is_met = entries.pop("what", ""), entries.pop("is_met", None)
-        facts = tuple(
-            (str(key).replace("_", " "), f"{item:.3g}" if isinstance(item, float) else str(item))
-            for key, item in entries.items()
-            if isinstance(item, str | int | float)
-        )
-        verdict = bool(is_met) if is_met is not None else None
-        title = name.replace("_", " ")
-        found.append({"name": title, "what": str(what), "facts": facts, "is_met": verdict})
-    return found
 
 
 def factor_text(factor: float) -> str:

@@ -11,8 +11,6 @@ import pytest
 from companion.errors import CompanionError
 from companion.kernel import IS_COMPILED
 from sim_link.lab.pool import Pool
-from tools.run_study import checks_of
-from tools.study.ekf_check import EkfCheck
 from tools.study.study import Study
 from tools.study.study_run import (
     FOLDER_NAME,
@@ -91,11 +89,6 @@ def test_more_runs_keep_what_is_done() -> None:
     assert len(set(more) - set(fewer)) == 2
 
 
-def test_every_ekf_cell_is_checked_against_filterpy() -> None:
-    tasks = work_of(_planned("ekf/passive", "huber/passive"), SEED).values()
-    assert sum(isinstance(task, EkfCheck) for task in tasks) == 2
-
-
 def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     studies = _planned("asymmetric_huber/latched")
     work = work_of(studies, SEED)
@@ -151,20 +144,3 @@ def test_the_longest_come_first_and_progress_adds_up(tmp_path: Path) -> None:
     costs = [cost_of(task) for task in recorder.asked]
     assert costs == sorted(costs, reverse=True)
     assert sum(done) == pytest.approx(sum(map(cost_of, work.values())))
-    assert not isinstance(recorder.asked[-1], EkfCheck)
-
-
-def test_the_check_is_met_and_says_how_well(tmp_path: Path) -> None:
-    work = work_of(_planned("ekf/reactive"), SEED)
-    store = Store(tmp_path / FOLDER_NAME)
-    carried_out(work, Pool(), store, _done)
-    check = checks_of(work, store)["ekf_is_filterpys"]
-    assert check["is_met"] is True
-    assert 0.0 < float(str(check["largest_difference_m"])) < 1e-9
-    assert (check["cells"], check["runs_of_each"]) == (2, 2)
-    assert check["worst_system"] == "EKF (Reactive)"
-
-
-def test_without_an_ekf_there_is_nothing_to_check(tmp_path: Path) -> None:
-    store = Store(tmp_path / FOLDER_NAME)
-    assert checks_of(work_of(_planned("huber/passive"), SEED), store) == {}

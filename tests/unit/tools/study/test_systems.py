@@ -24,7 +24,6 @@ from tools.study.systems import (
         ("map/latched", "MAP (Latched)"),
         ("tracker/latched", "Companion (Latched)"),
         ("huber/fim_printed", "Huber (FIM as printed)"),
-        ("filterpy/passive", "EKF (filterpy) (Passive)"),
     ],
 )
 def test_labels_are_those_of_the_papers_tables(name: str, label: str) -> None:
@@ -40,7 +39,6 @@ def test_an_unknown_system_is_refused(name: str) -> None:
 def test_kernels_fly_the_companions_filters_and_the_window() -> None:
     assert system_named("ekf/fim").is_compiled
     assert system_named("map/fim").is_compiled
-    assert not system_named("filterpy/fim").is_compiled
     assert not system_named("tracker/fim").is_compiled
 
 

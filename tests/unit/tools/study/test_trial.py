@@ -99,11 +99,6 @@ def test_a_drawn_first_estimate_is_corrected_by_the_first_measurement() -> None:
     assert np.ptp(starts) > 90.0
 
 
-def test_filterpys_filter_walks_where_ours_does() -> None:
-    ours, theirs = (run_trial(SHORT, System(name, "fim"), SEED) for name in ("ekf", "filterpy"))
-    np.testing.assert_allclose(ours.record, theirs.record, rtol=1e-8, atol=1e-8)
-
-
 def test_a_trial_is_a_function_of_its_seed() -> None:
     system = System("asymmetric_huber", "reactive")
     one, other = run_block(SHORT, system, run_seeds(1, 2))

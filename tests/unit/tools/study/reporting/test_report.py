@@ -20,13 +20,12 @@ from tools.study.reporting.study_report import (
     sections_of,
     title_of,
     verdict_line,
-    write_report,
+    write_page,
 )
 from tools.study.study import FigureName, ResultRow, StudyResult
 
 MADE_WITH = {"commit": "0123abcd", "numpy": "2.0"}
 VOID = {"meta", "link", "br", "img", "use", "path", "hr"}
-CHECKS = {"ekf_is_filterpys": {"what": "largest difference", "limit_m": 1e-6, "is_met": True}}
 
 
 class Balance(HTMLParser):
@@ -59,7 +58,7 @@ def small_study(figures: tuple[FigureName, ...] = ()) -> tuple[StudyResult, list
 
 
 def text_of(results: list[StudyResult], rows: list[ResultRow]) -> str:
-    return page(results, sections_of(results, rows), rows, [], CHECKS, MADE_WITH)
+    return page(results, sections_of(results, rows), rows, [], MADE_WITH)
 
 
 @pytest.mark.slow
@@ -74,7 +73,6 @@ def test_a_small_study_makes_a_whole_page() -> None:
     assert "Why &amp; how." in text
     assert "0123abcd" in text
     assert text.count("<figure") == 3
-    assert "ekf is filterpys" in text
 
 
 def test_the_page_needs_no_network_and_no_scripts() -> None:
@@ -101,7 +99,7 @@ def test_a_table_shared_by_two_studies_is_shown_once() -> None:
 
 def test_files_are_written_whole(tmp_path: Path) -> None:
     result, rows = small_study(("losses",))
-    write_report(tmp_path, [result], rows, [], CHECKS)
+    write_page(tmp_path, sections_of([result], rows), rows)
     names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")}
     assert names == {
         "report.html",
@@ -114,7 +112,7 @@ def test_a_folder_in_the_way_is_said(tmp_path: Path) -> None:
     result, rows = small_study()
     (tmp_path / "figures").write_text("")
     with pytest.raises(CompanionError, match="figures: cannot be made"):
-        write_report(tmp_path, [result], rows, [], {})
+        write_page(tmp_path, sections_of([result], rows), rows)
 
 
 @pytest.mark.slow
