@@ -18,12 +18,7 @@ from pathlib import Path
 
 from companion import kernel_cache
 from companion.config.schema import CompanionConfig, load_config, with_radios, with_signing_key
-from companion.diagnostics import (
-    HOW_TO_ALLOW,
-    NORMAL_PRIORITY,
-    process_use,
-    raised_priority,
-)
+from companion.diagnostics import HOW_TO_ALLOW, NORMAL_PRIORITY, process_use, raised_priority
 from companion.doctor.autopilot_settings import check_fence, check_parameters
 from companion.doctor.findings import (
     AutopilotFacts,

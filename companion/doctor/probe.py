@@ -37,11 +37,7 @@ from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound
 from companion.link.autopilot_fence import FenceDownload, hears_transmitter
-from companion.link.autopilot_queries import (
-    STREAM_INTERVAL_S,
-    StreamFreshness,
-    StreamRequester,
-)
+from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.inbound import origin_of

@@ -14,10 +14,7 @@ from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
 from companion.guidance.launch import LaunchView
 from companion.guidance.measurements import EmitterScheduler
-from companion.guidance.messages import (
-    FenceMessages,
-    GuardMessages,
-)
+from companion.guidance.messages import FenceMessages, GuardMessages
 from companion.guidance.phases import FLYING, IN_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.readiness import LaunchPermit, WaitingReason, missing_inputs
 from companion.guidance.reporting import Reporting

@@ -12,13 +12,7 @@ from companion.domain import FlightMode
 from companion.guidance.events import HeartbeatReceived, LandedStateChanged
 from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.launch import Launch
-from companion.guidance.phases import (
-    IN_CONTROL,
-    OUT_OF_CONTROL,
-    Phase,
-    Trigger,
-    next_phase,
-)
+from companion.guidance.phases import IN_CONTROL, OUT_OF_CONTROL, Phase, Trigger, next_phase
 
 REGAIN_QUIET_S = 2.0
 """Time for which HEARTBEATs must show another mode without a failsafe before it counts as chosen.

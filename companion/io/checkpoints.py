@@ -234,16 +234,12 @@ class CheckpointStore:
         directory = self.paths[0].parent
         with suppress(OSError):  # the writer warns, once
             directory.mkdir(parents=True, exist_ok=True)
-        self._sweep(directory)
-        self.writer = BackgroundReplacer("write checkpoint", MODE)
-
-    def _sweep(self, directory: Path) -> None:
-        """Delete the temporary files of a writer that was killed."""
         for path in self.paths:
             with suppress(OSError):
                 for leftover in directory.glob(f".{path.name}.*.tmp"):
                     if leftover.name != f".{path.name}.{os.getpid()}.tmp":
                         leftover.unlink(missing_ok=True)
+        self.writer = BackgroundReplacer("write checkpoint", MODE)
 
 
 FILE = "radio-offsets.json"

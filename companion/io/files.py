@@ -112,7 +112,11 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
-        _sync_directory(path.parent)
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
     except OSError as error:
         with suppress(OSError):  # on a disk that went read-only the temporary file stays
             temporary.unlink(missing_ok=True)
@@ -167,15 +171,6 @@ def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
         if directory.is_dir() and not directory.is_symlink():
             shutil.rmtree(directory, ignore_errors=True)
     return [directory for *_, directory in oldest if not os.path.lexists(directory)]
-
-
-def _sync_directory(directory: Path) -> None:
-    """Make a rename survive a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 TLOG, MCAP, EVENTS, INPUTS = "flight.tlog", "flight.mcap", "events.jsonl", "flight.inputs"

@@ -257,7 +257,9 @@ class StreamRequester:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
             if want.look(self._freshness.stream(want.message_id), now_s):
-                return _request(want, target)
+                if want.interval_s is None:
+                    return request_message(want.message_id, target)
+                return _set_interval(want.message_id, 1e6 * want.interval_s, target)
         self.next_look_s = now_s + LOOK_PERIOD_S
         return None
 
@@ -274,12 +276,6 @@ def request_message(message_id: int, target: Ids) -> Message:
     """Return a REQUEST_MESSAGE for one message, now."""
     command = VehicleCommand(mavlink.MAV_CMD_REQUEST_MESSAGE, (float(message_id),))
     return command.message(target)
-
-
-def _request(want: _Want, target: Ids) -> Message:
-    if want.interval_s is None:
-        return request_message(want.message_id, target)
-    return _set_interval(want.message_id, 1e6 * want.interval_s, target)
 
 
 def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:

@@ -32,13 +32,7 @@ from companion.link.gcs_services import (
 )
 from companion.link.inbound import TIMESYNC, UNREAD, is_time_question
 from companion.link.intake import Authenticity, FloodShield, Intake
-from companion.link.interface import (
-    EndpointParams,
-    InputRecorder,
-    Journal,
-    LinkRole,
-    LinkSpec,
-)
+from companion.link.interface import EndpointParams, InputRecorder, Journal, LinkRole, LinkSpec
 from companion.link.outbound import Ids
 from companion.link.outlet import COMPONENT_ID, Outlet
 from companion.link.presence import Presence
@@ -208,7 +202,10 @@ class CompanionEndpoint:
         self._texts = self.outlet.texts_sent
         if now_s >= self._next_record_s:
             self._next_record_s = now_s + RECORD_PERIOD_S
-            self._record_state(now_s)
+            self._journal.record("link", self._link_record(now_s), now_s)
+            self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
+            for number, radio in enumerate(self.radios):
+                self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def _announce_link_state(self, now_s: float) -> None:
         """Announce what is new on the links, and what was withheld and still stands."""
@@ -392,13 +389,6 @@ class CompanionEndpoint:
         is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
         for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
             self.outlet.send(question, now_s, is_droppable=True)
-
-    def _record_state(self, now_s: float) -> None:
-        """Record links, estimator and radios in the event log."""
-        self._journal.record("link", self._link_record(now_s), now_s)
-        self._journal.record("health", health_fields(self.session.tracker, now_s), now_s)
-        for number, radio in enumerate(self.radios):
-            self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         emitters = self.session.context.emitters

@@ -35,7 +35,6 @@ from companion.mav.dialect import (
     mavlink,
 )
 from companion.mav.ranging import tunnelled
-from companion.search.searched_area import SearchState
 from companion.search.searched_flight import GOOD_POD
 
 PERIOD_S = 1.0
@@ -83,7 +82,11 @@ class Presence:
     def _send_searched(self, now_s: float) -> None:
         searching = self._session.searching
         if searching.is_counting and searching.is_worth_reporting and searching.state is not None:
-            for value in searched_values(searching.state, now_s):
+            values = {
+                b"SRCH_POS": searching.state.pos,
+                b"SRCH_SHARE": searching.state.share_at(GOOD_POD),
+            }
+            for value in _floats(values, now_s):
                 self._outlet.broadcast(value, now_s, is_droppable=True)
 
     def _send_estimates(self, now_s: float) -> None:
@@ -152,12 +155,6 @@ def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
     values = {b"TGT_EAST": east_m, b"TGT_NORTH": north_m, b"TGT_R95": estimate.r95_m}
     values[b"TGT_R95ABS"] = estimate.absolute_r95_m
     values |= {b"TGT_VAR_E": var_east, b"TGT_VAR_N": var_north, b"TGT_COV_EN": covariance}
-    return _floats(values, now_s)
-
-
-def searched_values(state: SearchState, now_s: float) -> list[Message]:
-    """Return NAMED_VALUE_FLOATs of a search: POS, and the share of the area that is searched."""
-    values = {b"SRCH_POS": state.pos, b"SRCH_SHARE": state.share_at(GOOD_POD)}
     return _floats(values, now_s)
 
 

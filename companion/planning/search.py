@@ -209,7 +209,10 @@ class LawnmowerParams(SearchParams, frozen=True):
         heading_rad += 0.5 * math.pi * (sweep % 2)
         entry = request.vehicle_enu_m
         if sweep == 0 and self.start_corner != "nearest":
-            entry = _corner_of(area, self.start_corner)
+            easts, norths = [p[0] for p in area], [p[1] for p in area]
+            east = min(easts) if self.start_corner.endswith("west") else max(easts)
+            north = min(norths) if self.start_corner.startswith("south") else max(norths)
+            entry = (east, north)
         return parallel_track(area, inset_m, self.spacing_m, heading_rad, spaces, entry)
 
 
@@ -269,13 +272,6 @@ class SectorParams(DatumSearchParams, frozen=True):
 def _spaces(request: PlanRequest) -> list[FreeSpace]:
     finder = way_finder(request)
     return [] if finder is None else [finder.space]
-
-
-def _corner_of(area: Polygon, name: str) -> Point:
-    easts, norths = [p[0] for p in area], [p[1] for p in area]
-    east = min(easts) if name.endswith("west") else max(easts)
-    north = min(norths) if name.startswith("south") else max(norths)
-    return (east, north)
 
 
 Crossing = TypeVar("Crossing")

@@ -30,13 +30,7 @@ from companion.geometry.obstacles import between
 from companion.geometry.polygons import Point
 from companion.planning.planner import Plan, PlanRequest, hold_position, way_finder
 from companion.planning.search import SearchMemory, SearchParams, SearchPlanner
-from companion.planning.search_tracks import (
-    Leg,
-    Track,
-    expanding_square,
-    lanes_over,
-    sector_search,
-)
+from companion.planning.search_tracks import Leg, Track, expanding_square, lanes_over, sector_search
 from companion.search.outlook import LegTable, Outlook
 from companion.search.search_grid import Bools, Floats
 from companion.search.searched_flight import pieces_of, place_name

@@ -30,12 +30,7 @@ from companion.geometry.coordinates import LocalOrigin
 from companion.io.checkpoints import KeptOffset, keep_offset, radio_key
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import check_exposure, parse_flight_link
-from companion.io.radio_recording import (
-    RadioBytes,
-    RecordedOrigin,
-    TimedPose,
-    read_radio_recording,
-)
+from companion.io.radio_recording import RadioBytes, RecordedOrigin, TimedPose, read_radio_recording
 from companion.io.shell import Clock, Shell
 from companion.io.vehicle_lock import state_directory
 from companion.link.interface import LinkRole, RadioSettings, RadioSetup

@@ -30,7 +30,6 @@ from companion.radio_tools.clustered_fit import (
     FieldTests,
     Figure,
     Flags,
-    Labels,
     PoseTrack,
     Vector,
     find_tests,
@@ -370,17 +369,13 @@ def _errors(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float
     return samples.ranges_m - fit.offset_m.value - fit.effective_scale * distance
 
 
-def _blocks(times: Vector) -> Labels:
-    """Return numbers of time blocks that have enough ranges on average."""
-    seconds = float(times.max() - times.min()) or 1.0
-    block_s = max(BLOCK_S, LEAST_VALUES * seconds / len(times))
-    return np.asarray((times - times.min()) // block_s, dtype=np.int64)
-
-
 def _blocked_blocks(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_s: float) -> Flags:
     """Return flags of ranges in periods longer than a block in which most were too long."""
     is_long = _errors(samples, track, fit, lag_s) > NLOS_SIGMAS * fit.sigma_m.value
-    blocks = _blocks(samples.times_s)
+    times = samples.times_s
+    seconds = float(times.max() - times.min()) or 1.0
+    block_s = max(BLOCK_S, LEAST_VALUES * seconds / len(times))
+    blocks = np.asarray((times - times.min()) // block_s, dtype=np.int64)
     counts = np.bincount(blocks)
     share = np.bincount(blocks, weights=is_long) / np.maximum(counts, 1)
     is_blocked = (counts >= LEAST_VALUES // 2) & (share > BLOCKED_SHARE)

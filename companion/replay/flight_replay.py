@@ -25,14 +25,7 @@ from companion.handoff import utc_text
 from companion.io.files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.replay.recorded_flight import (
-    Course,
-    Json,
-    OnInput,
-    is_mcap,
-    open_recording,
-    rerun,
-)
+from companion.replay.recorded_flight import Course, Json, OnInput, is_mcap, open_recording, rerun
 from companion.run import FlightView
 from companion.web.live_map import ReplayedFlight, WebView
 from companion.web.settings import WebSettings

@@ -16,15 +16,7 @@ from typing import Annotated, TypeVar
 
 import msgspec
 
-from companion.area_handoff import (
-    GEOJSON,
-    PNG,
-    RECORD,
-    TEXT,
-    area_files,
-    geojson_of,
-    result_fields,
-)
+from companion.area_handoff import GEOJSON, PNG, RECORD, TEXT, area_files, geojson_of, result_fields
 from companion.domain import PositionAccuracy, radii_text
 from companion.errors import ConfigError
 from companion.geometry.coordinates import LocalOrigin
@@ -167,17 +159,13 @@ def summarize_events(lines: Iterable[Line]) -> FlightSummary:
             summary.events.append(row)
         if kind == "radio":
             summary.radios[_read(line.get("number"), int) or 0] = line
-        _take_place(summary, kind, line)
+        match kind:
+            case "position" if (position := _read(line, _PositionLine)) is not None:
+                summary.track.add(position.position_enu_m[:2])
+            case "origin" if _read(line, _OriginLine) is not None:
+                summary.origin = _read(line, LocalOrigin) or summary.origin
         _take_line(summary, kind, line)
     return summary
-
-
-def _take_place(summary: FlightSummary, kind: str, line: Line) -> None:
-    match kind:
-        case "position" if (position := _read(line, _PositionLine)) is not None:
-            summary.track.add(position.position_enu_m[:2])
-        case "origin" if _read(line, _OriginLine) is not None:
-            summary.origin = _read(line, LocalOrigin) or summary.origin
 
 
 def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:

@@ -89,7 +89,10 @@ def _followed(leaving: dict[Node, list[int]]) -> Iterator[list[Node]]:
             del way[position[node] :]
             for passed in ring:
                 del position[passed]
-            yield _corners(ring)
+            sides = zip(ring[-1:] + ring[:-1], ring, ring[1:] + ring[:1], strict=True)
+            yield [
+                at for a, at, b in sides if not a[0] == at[0] == b[0] and not a[1] == at[1] == b[1]
+            ]
             if node not in leaving:
                 return
         position[node] = len(way)
@@ -102,12 +105,6 @@ def _followed(leaving: dict[Node, list[int]]) -> Iterator[list[Node]]:
             del leaving[node]
         rows, columns = LEFT_TO_RIGHT[before]
         node = (node[0] + rows, node[1] + columns)
-
-
-def _corners(ring: list[Node]) -> list[Node]:
-    """The nodes of a ring at which it turns."""
-    sides = zip(ring[-1:] + ring[:-1], ring, ring[1:] + ring[:1], strict=True)
-    return [at for a, at, b in sides if not a[0] == at[0] == b[0] and not a[1] == at[1] == b[1]]
 
 
 def _in_metres(grid: SearchGrid, ring: list[Node]) -> tuple[Point, ...]:

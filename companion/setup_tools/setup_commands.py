@@ -251,21 +251,16 @@ def _finish(
     config = load_config(directory / CONFIG)
     try:
         if not arguments.no_warm_up and kernel_cache.can_compile():
-            _compile_kernels()
+            try:
+                _say(compile_kernels())
+            except CompanionError as error:
+                _say(f"{error}; kernels run as plain Python, which suffices in flight")
         findings = [] if arguments.no_doctor else _findings(config, link)
         if findings:
             _say(*as_lines(findings))
         return exit_code(findings)
     finally:
         _say("", *guide(choices.autopilot, link, config), "", *_next(choices, directory, arguments))
-
-
-def _compile_kernels() -> None:
-    """Compile the kernels, or say why they stay plain Python."""
-    try:
-        _say(compile_kernels())
-    except CompanionError as error:
-        _say(f"{error}; kernels run as plain Python, which suffices in flight")
 
 
 def _findings(config: CompanionConfig, link: Transport) -> list[CheckResult]:

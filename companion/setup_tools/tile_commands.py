@@ -53,8 +53,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, int, int]]:
     """Return zoom, x and y of every tile that a square about a place touches."""
-    latitude_deg, longitude_deg = _place(around)
-    least, most = _zooms(zooms)
+    try:
+        latitude_deg, longitude_deg = map(float, around.split(","))
+    except ValueError:
+        raise ConfigError(f"--around {around}: give LAT,LON in degrees, as in 47.4,8.55") from None
+    if not (abs(latitude_deg) <= LATITUDES_DEG and abs(longitude_deg) <= 180.0):
+        raise ConfigError(f"--around {around}: no such place on a map of tiles")
+
+    match = re.fullmatch(r"(\d+)(?:-(\d+))?", zooms)
+    least = int(match[1]) if match else -1
+    most = int(match[2] or match[1]) if match else -1
+    if not 0 <= least <= most <= 22:
+        raise ConfigError(f"--zoom {zooms}: give MIN-MAX between 0 and 22, as in 13-17")
+
     if not 0.0 < radius_m <= 100_000.0:
         raise ConfigError(f"--radius {radius_m:g}: give metres, up to 100000")
     north_deg = radius_m / METRES_PER_DEGREE
@@ -69,25 +80,6 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
             )
         wanted += [(zoom, x, y) for x in range(left, right + 1) for y in range(top, bottom + 1)]
     return wanted
-
-
-def _place(text: str) -> tuple[float, float]:
-    try:
-        latitude_deg, longitude_deg = map(float, text.split(","))
-    except ValueError:
-        raise ConfigError(f"--around {text}: give LAT,LON in degrees, as in 47.4,8.55") from None
-    if not (abs(latitude_deg) <= LATITUDES_DEG and abs(longitude_deg) <= 180.0):
-        raise ConfigError(f"--around {text}: no such place on a map of tiles")
-    return latitude_deg, longitude_deg
-
-
-def _zooms(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)(?:-(\d+))?", text)
-    least = int(match[1]) if match else -1
-    most = int(match[2] or match[1]) if match else -1
-    if not 0 <= least <= most <= 22:
-        raise ConfigError(f"--zoom {text}: give MIN-MAX between 0 and 22, as in 13-17")
-    return least, most
 
 
 def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:

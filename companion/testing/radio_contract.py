@@ -78,7 +78,11 @@ def check_radio(
     """
     readings = read_golden(expected) if isinstance(expected, Path) else list(expected)
     trial = _Trial(lambda: kind.decoder(options), stream, readings, repeats)
-    _check_kind(kind)
+    if not NAME.fullmatch(kind.name):
+        raise ContractError(f"name `{kind.name}`: lower case, digits and underscores")
+    for name in ("title", "gives", "emitter", "transport"):
+        if not getattr(kind, name):
+            raise ContractError(f"{name} is empty")
     trial.check_splits()
     trial.check_flips(has_checksum)
     trial.check_garbage()
@@ -255,14 +259,6 @@ class _Trial:
             if line != other:
                 raise ContractError(f"{what}: reading {number} is {line}, not {other}")
         raise ContractError(f"{what}: {len(lines)} readings, not {len(wanted)}")
-
-
-def _check_kind(kind: RadioKind) -> None:
-    if not NAME.fullmatch(kind.name):
-        raise ContractError(f"name `{kind.name}`: lower case, digits and underscores")
-    for name in ("title", "gives", "emitter", "transport"):
-        if not getattr(kind, name):
-            raise ContractError(f"{name} is empty")
 
 
 def _values(reading: RadioReading) -> dict[str, object]:

@@ -130,20 +130,17 @@ class FlightTrack(History[Point]):
         self.items.append(self._end)
         self._end = None
         if len(self.items) > MOST_CORNERS:
-            self._coarsen()
+            corners = self.items
+            self.clear()
+            self._tolerance_m *= 2.0
+            for corner in corners:
+                self.add(corner)
         self.add(place)
 
     def clear(self) -> None:
         """Remove all corners for another frame."""
         super().clear()
         self._end = None
-
-    def _coarsen(self) -> None:
-        corners = self.items
-        self.clear()
-        self._tolerance_m *= 2.0
-        for corner in corners:
-            self.add(corner)
 
 
 CURVE_POINTS = 600

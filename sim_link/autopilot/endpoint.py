@@ -203,7 +203,10 @@ class SimEndpoint:
             self.receive(chunk, now_s)
         self._send_all(self._services.clocks.due(now_s - self._started_s))
         last_step = self._last_step(now_s)
-        self._step_others(now_s)
+        self._others = [(end_s, each) for end_s, each in self._others if now_s < end_s]
+        for _, sender in self._others:
+            for frame in sender.frames(now_s):
+                self._output += [Chunk(link, frame) for link in range(len(self._links))]
         if last_step - self._next_step > MAX_CATCH_UP_S / STEP_S:
             self._next_step = last_step
         if self.links.signing is not None:
@@ -215,13 +218,6 @@ class SimEndpoint:
             if self._next_step <= self._last_step(now_s):  # no reboot
                 self._step(self._next_step * STEP_S)
                 self._next_step += 1
-
-    def _step_others(self, now_s: float) -> None:
-        """Send what other components send, which needs no service of the autopilot."""
-        self._others = [(end_s, each) for end_s, each in self._others if now_s < end_s]
-        for _, sender in self._others:
-            for frame in sender.frames(now_s):
-                self._output += [Chunk(link, frame) for link in range(len(self._links))]
 
     def _last_step(self, now_s: float) -> int:
         return math.floor((now_s - self._started_s) / STEP_S + STEP_TOLERANCE)

@@ -23,15 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from companion.domain import PositionEnu
-from sim_link.emulators.emulator import (
-    LINE_END,
-    U32,
-    Answer,
-    Emulator,
-    Round,
-    clamped,
-    lines,
-)
+from sim_link.emulators.emulator import LINE_END, U32, Answer, Emulator, Round, clamped, lines
 
 PROMPT = "dwm> "
 SLOTS = 8

@@ -34,14 +34,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import IncidentRecord, OtherVehicle, PilotMode, VehicleReboot
 from sim_link.autopilot.other_senders import PAYLOAD_ID
 from sim_link.autopilot.scenario import Scenario
-from sim_link.lab.observer import (
-    Frame,
-    Lane,
-    Observers,
-    PerfectWire,
-    Wire,
-    frames_in,
-)
+from sim_link.lab.observer import Frame, Lane, Observers, PerfectWire, Wire, frames_in
 from sim_link.neighbours import COMPONENT_BYTE, Neighbour
 
 

@@ -219,7 +219,11 @@ class HttpLink(Link):
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(OSError, TimeoutError, ValueError, asyncio.IncompleteReadError):
             async with asyncio.timeout(REQUEST_S):
-                path = await _path_asked(reader)
+                words = (await reader.readline()).decode("latin-1").split()
+                for _ in range(MOST_HEADERS):
+                    if not (await reader.readline()).strip():
+                        break
+                path = words[1].partition("?")[0] if len(words) == 3 and words[0] == "GET" else ""
                 writer.write(self._response(path))
                 await writer.drain()
         writer.close()
@@ -231,12 +235,3 @@ class HttpLink(Link):
         self.counters.received += 1
         head = f"HTTP/1.1 {status}\r\nContent-Type: text/plain\r\nContent-Length: {len(body)}"
         return f"{head}\r\nConnection: close\r\n\r\n".encode() + body
-
-
-async def _path_asked(reader: asyncio.StreamReader) -> str:
-    """Return the path of a GET; empty for anything else."""
-    words = (await reader.readline()).decode("latin-1").split()
-    for _ in range(MOST_HEADERS):
-        if not (await reader.readline()).strip():
-            break
-    return words[1].partition("?")[0] if len(words) == 3 and words[0] == "GET" else ""

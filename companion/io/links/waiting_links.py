@@ -30,11 +30,7 @@ from typing import TYPE_CHECKING
 
 from companion.errors import CompanionError, LinkError, how_to_install
 from companion.io.links.link import Link, Received, logger
-from companion.io.radio_recording import (
-    RadioBytes,
-    is_radio_recording,
-    read_radio_recording,
-)
+from companion.io.radio_recording import RadioBytes, is_radio_recording, read_radio_recording
 from companion.mav.endpoint import Chunk
 
 if TYPE_CHECKING:
@@ -308,7 +304,12 @@ class WebSocketLink(WaitingLink):
                     self._note_back()
                     for line in self.greeting.decode().splitlines():
                         connection.send(line)
-                    self._read(connection)
+                    while not self._stop.is_set():
+                        try:
+                            message = connection.recv(timeout=LOOK_S)
+                        except TimeoutError:
+                            continue
+                        self._hand_over(on_the_wire(message))
             except (OSError, EOFError, ValueError, WebSocketException) as error:
                 self._note_lost(str(error) or type(error).__name__)
             self._stop.wait(RETRY_S)
@@ -331,12 +332,3 @@ class WebSocketLink(WaitingLink):
             close_timeout=LOOK_S,
             max_size=MOST_PAGE_BYTES,
         )
-
-    def _read(self, connection: ClientConnection) -> None:
-        """Hand over messages until the connection ends."""
-        while not self._stop.is_set():
-            try:
-                message = connection.recv(timeout=LOOK_S)
-            except TimeoutError:
-                continue
-            self._hand_over(on_the_wire(message))

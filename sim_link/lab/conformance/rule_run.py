@@ -32,11 +32,7 @@ from sim_link.lab.conformance.rules import (
     try_rule,
 )
 from sim_link.lab.conformance.station import Baseline, ProbeLink
-from sim_link.lab.conformance.vehicle_probe import (
-    FLIGHT_HEIGHT_M,
-    SILENCE_S,
-    VehicleProbe,
-)
+from sim_link.lab.conformance.vehicle_probe import FLIGHT_HEIGHT_M, SILENCE_S, VehicleProbe
 
 LAND_S = 60.0
 NEAR_M = 20.0

@@ -24,14 +24,7 @@ from sim_link.lab.conformance.rules import (
     autopilot_notes,
     require,
 )
-from sim_link.lab.conformance.station import (
-    Baseline,
-    M,
-    ProbeLink,
-    Station,
-    heartbeat,
-    source_of,
-)
+from sim_link.lab.conformance.station import Baseline, M, ProbeLink, Station, heartbeat, source_of
 
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0

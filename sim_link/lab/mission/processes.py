@@ -317,7 +317,11 @@ class MavsdkOperator:
         self._direct = MavlinkDirectAsync(system)
         telemetry = TelemetryAsync(system)
         if self.autopilot is Autopilot.ARDUPILOT:
-            await _ask_for_streams(telemetry)
+            await telemetry.set_rate_health(2.0)
+            await telemetry.set_rate_home(1.0)
+            await telemetry.set_rate_position(2.0)
+            await telemetry.set_rate_position_velocity_ned(POSITION_RATE_HZ)
+            await telemetry.set_rate_landed_state(2.0)
         async with aclosing(telemetry.subscribe_health()) as updates:
             async for health in updates:
                 self.is_ready = bool(health.is_armable and health.is_home_position_ok)
@@ -379,12 +383,3 @@ class MavsdkOperator:
         result = json.loads(answer.fields_json).get("result")
         if result != ACCEPTED:
             raise CompanionError(f"command {number} was refused with result {result}")
-
-
-async def _ask_for_streams(telemetry: Any) -> None:
-    """Request the streams of MAVSDK's health and positions; ArduPilot sends none unasked."""
-    await telemetry.set_rate_health(2.0)
-    await telemetry.set_rate_home(1.0)
-    await telemetry.set_rate_position(2.0)
-    await telemetry.set_rate_position_velocity_ned(POSITION_RATE_HZ)
-    await telemetry.set_rate_landed_state(2.0)

@@ -15,11 +15,7 @@ from companion.domain import FlightMode
 from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.lab.monitor import (
-    authority_invariants,
-    fence_invariants,
-    message_invariants,
-)
+from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
 from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,

@@ -18,11 +18,7 @@ import msgspec
 from companion.domain import EstimateState, FlightMode, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.mav.dialect import mavlink
-from sim_link.lab.monitor import (
-    authority_invariants,
-    fence_invariants,
-    message_invariants,
-)
+from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
 from sim_link.lab.monitor.monitor import FrameMonitor
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,

@@ -7,15 +7,7 @@ import itertools
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.protocol_clients import ParameterClient
-from sim_link.lab.conformance.rules import (
-    ARDUPILOT,
-    CHANGES,
-    FLIES,
-    PX4,
-    RuleBook,
-    assume,
-    require,
-)
+from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, assume, require
 from sim_link.lab.conformance.station import Station, brief, heartbeat, source_of
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe, is_ready
 
