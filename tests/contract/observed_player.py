@@ -17,8 +17,8 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import Incident
 from sim_link.autopilot.protocols.addressing import LinkSetup
 from sim_link.autopilot.scenario import Scenario
+from tests.contract.observed_rows import Fields, Row, Sheet, Step
 from tests.protocol.memory_link import MemoryHub, MemoryLink
-from tools.release.observed_tables import Fields, Row, Sheet, Step
 
 NAN = math.nan
 STEP_S = 0.02

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.contract.observed_player import Player
-from tools.release.observed_tables import FLAVOURS, ROOT, Row, load_sheet
+from tests.contract.observed_rows import FLAVOURS, ROOT, Row, load_sheet
 
 GROUNDED = ("", "booting", "ready", "guided", "armed")
 """States of the sheets that take no flight; the others are slow."""

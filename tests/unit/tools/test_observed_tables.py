@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tools.release.observed_tables import FLAVOURS, Row, Step, different, load_sheet, same, table
+from tests.contract.observed_rows import FLAVOURS, Row, Step, load_sheet
+from tools.release.observed_tables import different, same, table
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
