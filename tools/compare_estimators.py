@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from companion.domain import TargetEstimate
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
+from companion.geometry.coordinates import wrap_pi
 from companion.io.files import check_writable, write_json_atomic
 from companion.kernel import Matrix
 from companion.replay.walk_replay import WalkRow
@@ -138,9 +139,45 @@ def ratio_text(errors: Sequence[float], radii: Sequence[float]) -> str:
     return f"{median_ratio(errors_m, radii_m):.2f} ({low:.1f} to {high:.1f})"
 
 
-def parts_of(rows: Sequence[WalkRow], count: int) -> list[Sequence[WalkRow]]:
-    """Return the measurements of a target as `count` interleaved walks of their own."""
-    return [rows[start::count] for start in range(count)]
+def shifted(rows: Sequence[WalkRow], count: int, rng: np.random.Generator) -> list[list[WalkRow]]:
+    """Return `count` walks along the same path, with the recorded errors shifted along it.
+
+    Errors of ranges are about the line that fits them by distance, so that offset and scale stay,
+    and errors of bearings about the true ones. They keep their order, and begin at a random
+    measurement (a circular bootstrap).
+    """
+    truth = np.asarray(rows[0].truth_enu_m)
+    to_target = truth - np.array([row.agent_enu_m[:2] for row in rows])
+    distance_m = np.hypot(*to_target.T)
+    measured = np.array(
+        [(row.measurement.range_m, row.measurement.bearing_enu_rad) for row in rows], dtype=float
+    )
+    is_measured = np.isfinite(measured)
+    expected = np.stack([distance_m, np.arctan2(to_target[:, 1], to_target[:, 0])], axis=1)
+    if is_measured[:, 0].any():
+        has_range = is_measured[:, 0]
+        line = np.polynomial.Polynomial.fit(distance_m[has_range], measured[has_range, 0], 1)
+        expected[:, 0] = line(distance_m)
+    walks = []
+    for _ in range(count):
+        values = measured.copy()
+        for column, seen in enumerate(is_measured.T):
+            if seen.any():
+                errors = measured[seen, column] - expected[seen, column]
+                errors = np.roll(errors, int(rng.integers(len(errors))))
+                values[seen, column] = expected[seen, column] + errors
+        walks.append([_with_values(row, *pair) for row, pair in zip(rows, values, strict=True)])
+    return walks
+
+
+def _with_values(row: WalkRow, range_m: float, bearing_rad: float) -> WalkRow:
+    """Return a row with another range and bearing; NaN: not measured."""
+    measurement = replace(
+        row.measurement,
+        range_m=None if math.isnan(range_m) else max(float(range_m), 0.0),
+        bearing_enu_rad=None if math.isnan(bearing_rad) else wrap_pi(bearing_rad),
+    )
+    return replace(row, measurement=measurement)
 
 
 def table(scores: Sequence[Score]) -> str:
@@ -197,11 +234,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--own-sigma", type=float, metavar="M", help="standard deviation of the agent's positions"
     )
     parser.add_argument(
-        "--parts",
+        "--shifts",
         type=positive,
-        default=1,
         metavar="N",
-        help="divide each target's measurements into N interleaved walks",
+        help="instead of each target, N walks with its errors shifted along its path",
     )
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
@@ -231,11 +267,12 @@ def compared(arguments: argparse.Namespace) -> list[Score]:
     walks = [
         p for p in walks_in(arguments.folder) if not arguments.only or p.stem in arguments.only
     ]
+    rng = np.random.default_rng(arguments.seed)
     tasks = [
-        (path, part)
+        (path, walk)
         for path in walks
         for rows in targets_of(path, arguments.own_sigma)
-        for part in parts_of(rows, arguments.parts)
+        for walk in (shifted(rows, arguments.shifts, rng) if arguments.shifts else [rows])
     ]
     scores: list[Score] = []
     with shown(sum(len(rows) for _, rows in tasks), sys.stderr) as done:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tools.compare_estimators import main, parts_of, ratio_text, score_of
+from companion.replay.walk_replay import WalkRow
+from tools.compare_estimators import main, ratio_text, score_of, shifted
 from tools.study.walks.rival_estimators import RIVALS, Batch
 from tools.study.walks.walk_figures import preset_of, targets_of
 
@@ -84,11 +86,22 @@ def test_a_ratio_of_few_targets_has_a_wide_interval() -> None:
     assert float(few.split()[-1].strip(")")) > 1.5 * high
 
 
-def test_parts_of_a_walk_are_disjoint_and_complete(tmp_path: Path) -> None:
+def test_errors_are_shifted_along_the_path_in_their_order(tmp_path: Path) -> None:
     (rows,) = targets_of(walk(tmp_path / "uwb_clean.csv"), 0.05)
-    parts = parts_of(rows, 3)
-    assert [len(part) for part in parts] == [27, 27, 26]
-    assert sorted(r.measurement.measured_at_s for part in parts for r in part) == list(range(80))
+
+    def errors_m(of: Sequence[WalkRow]) -> list[float]:
+        return [(r.measurement.range_m or 0.0) - math.dist(r.agent_enu_m[:2], TARGET) for r in of]
+
+    recorded = np.array(errors_m(rows))
+    walks = shifted(rows, 3, np.random.default_rng(5))
+    assert len(walks) == 3
+    for each in walks:
+        assert [r.agent_enu_m for r in each] == [r.agent_enu_m for r in rows]
+        found = np.array(errors_m(each))
+        by = min(range(80), key=lambda k: np.abs(found - np.roll(recorded, k)).max())
+        assert by > 0
+        # the line of scale and offset is not shifted with the noise of 0.15 m about it
+        assert found == pytest.approx(np.roll(recorded, by), abs=0.15)
 
 
 def test_a_folder_without_walks_is_refused_in_one_line(
