@@ -51,7 +51,8 @@ class PlanRequest:
     """Chance that is left in the search area; None: unknown, or there was contact."""
     time_s: float = 0.0
     contact_s: float | None = None
-    """Time of the last usable measurement; None: unknown, and an estimate counts as fresh."""
+    """Time at which ranging could be flown by last; None: unknown, and an estimate counts as
+    fresh."""
     height_m: float = 0.0
     """Height of the vehicle above the target, for slant ranges."""
     altitude_offset_m: float | None = None

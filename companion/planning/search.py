@@ -9,9 +9,10 @@ At the end of the track the search starts over with turned legs, as the IAMSAR m
 a second search of the same area: what the first one missed because of its direction, the next may
 detect. Lanes turn by 90 degrees, the square by 45, the sectors by 30.
 
-Contact is a usable measurement that is not older than `lost_after_s`, with an estimate that does
-not contradict its measurements. It hands over to the crossing planner at once; without it the
-search resumes from there, because the emitter may be received there again.
+Contact is ranging that can be flown by and is not older than `lost_after_s`: five measurements that
+agree, without a gap, and an estimate that does not contradict its measurements. It hands over to
+the crossing planner at once; without it the search resumes from there, because the emitter may be
+received there again. Single packets at the edge of reception would hold the vehicle there.
 """
 
 from __future__ import annotations

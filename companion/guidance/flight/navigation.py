@@ -46,6 +46,9 @@ class FlightPlan:
         self._searching = searching
         self._altitude_m = altitude_m
         self._announced_outside_s = -math.inf
+        self.contact_s = -math.inf
+        """Time of the latest measurement that ranging could be flown by; a single packet at the
+        edge of reception is none."""
         self.forget()
 
     def forget(self) -> None:
@@ -73,12 +76,10 @@ class FlightPlan:
 
     def is_search_due(self, estimate: TargetEstimate | None, now_s: float) -> bool:
         """Return True if the planner searches now, and needs neither contact nor an estimate."""
-        after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
+        after_s = self._planner.search_after_s
         if after_s is None:
             return False
-        if estimate is None or heard_s is None or after_s == 0.0:
-            return True
-        return now_s - heard_s > after_s
+        return estimate is None or after_s == 0.0 or now_s - self.contact_s > after_s
 
     @property
     def sweeps(self) -> int:
@@ -150,7 +151,7 @@ class FlightPlan:
             keep_out_enu_m=() if fence is None else fence.keep_out_enu_m,
             also_inside_enu_m=() if fence is None else fence.also_inside_enu_m,
             time_s=now_s,
-            contact_s=tracker.last_accepted_s,
+            contact_s=self.contact_s,
             height_m=place_enu_m[2] - target_up_m,
             yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
             leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
@@ -164,7 +165,7 @@ class FlightPlan:
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """Return a text when a search begins, ends, or begins again."""
-        after_s, heard_s = self._planner.search_after_s, self._emitters.current.last_accepted_s
+        after_s = self._planner.search_after_s
         if after_s is None or after_s == 0.0:
             return []
         was_searching = self._is_searching
@@ -173,7 +174,7 @@ class FlightPlan:
             return []
         if not self._is_searching:
             return [Announce(Severity.INFO, "contact: flying to the target", Topic.CONTACT)]
-        if heard_s is None:
+        if self.contact_s == -math.inf:
             return [
                 Announce(Severity.INFO, "no contact yet: flying the search pattern", Topic.CONTACT)
             ]

@@ -66,6 +66,7 @@ class InputWatch(Watch):
         """Note that another emitter is searched for, with its number of agreeing measurements."""
         self._agreed = agreeing
         self._is_dropout = agreeing < AGREEING
+        self._context.flight_plan.contact_s = -math.inf
 
     def step(self, now_s: float) -> Finding | None:
         """Update the state of the inputs; return the worst finding about them, or None."""
@@ -80,6 +81,8 @@ class InputWatch(Watch):
             self._is_dropout, self._agreed = True, 0
         elif self._agreed >= AGREEING:
             self._is_dropout = False
+        if heard_s is not None and not self._is_dropout:
+            context.flight_plan.contact_s = heard_s
         if self._lost is not None:
             return self._lost
         if context.flight_plan.is_search_due(estimate, now_s):

@@ -52,10 +52,10 @@ def test_with_a_search_it_flies_it_before_anything_is_heard() -> None:
     assert math.dist(before, flight.place) == pytest.approx(50.0, abs=1.0)
 
 
-def test_the_first_contact_ends_the_search() -> None:
+def test_five_measurements_end_the_search() -> None:
     flight = _searching()
     flight.has_ranging = True
-    flight.fly(0.5)
+    flight.fly(1.0)
     assert flight.session.flight_plan.waypoint is not None
     assert flight.session.flight_plan.waypoint.reason is WaypointReason.APPROACH
     assert "contact: flying to the target" in flight.texts
@@ -75,9 +75,24 @@ def test_contact_lost_is_waited_for_and_then_searched_for() -> None:
     assert "no contact for 12 s: back to the search pattern" in flight.texts
     assert _waypoints(flight)[-1] == "search"
     flight.has_ranging = True
-    flight.fly(0.5)
+    flight.fly(1.0)
     assert _waypoints(flight)[-1] in ("approach", "crossing")
     assert flight.texts.count("contact: flying to the target") == 2
+
+
+def test_packets_at_the_edge_of_reception_neither_end_a_search_nor_hold_the_vehicle() -> None:
+    flight = _searching()
+    flight.has_ranging = True
+    flight.fly(3.0)
+    flight.has_ranging = False
+    for _ in range(4):  # each within `lost_after_s` of the one before
+        flight.fly(7.0)
+        flight.measure()
+    assert "no contact for 12 s: back to the search pattern" in flight.texts
+    assert flight.texts.count("contact: flying to the target") == 1
+    flight.fly(1.0)
+    assert flight.is_in(Phase.NORMAL)
+    assert _waypoints(flight)[-1] == "search"
 
 
 @pytest.mark.slow
