@@ -115,9 +115,9 @@ def _setup() -> Command:
 
 
 def _tiles() -> Command:
-    from companion.setup_tools.tile_commands import run
+    from companion.setup_tools.config_commands import run_tiles
 
-    return run
+    return run_tiles
 
 
 def _warm_up() -> Command:

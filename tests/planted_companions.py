@@ -16,8 +16,8 @@ from companion.config.tunables import Tunables
 from companion.domain import Autopilot, FlightMode, TargetEstimate
 from companion.flight_setup import build_planner, build_session
 from companion.guard.gate import GuardReason
+from companion.guidance.control_authority import Reason
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.findings import Reason
 from companion.link import outbound
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, Journal, LinkSpec

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from companion.link.interface import RadioSettings, RadioSetup
-from companion.radios.catalogue import radio_kind
+from companion.radios.decoder import radio_kind
 from sim_link.emulators.catalogue import EMULATORS
 from sim_link.emulators.emulator import Emulator
 

@@ -13,7 +13,7 @@ from companion.config.loader import parse_value, record_within
 from companion.domain import Params
 from companion.errors import ConfigError
 from companion.link.interface import RadioSettings, RadioSetup
-from companion.radios.catalogue import radio_kind
+from companion.radios.decoder import radio_kind
 
 Name = Annotated[str, msgspec.Meta(pattern="^[a-z][a-z0-9_]*$")]
 

@@ -32,9 +32,8 @@ from companion.guidance.commands import (
     Tuning,
     WithdrawRequest,
 )
-from companion.guidance.control_authority import Authority
+from companion.guidance.control_authority import Authority, Finding, Reason, Verdict, Watch
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import Fencing
 from companion.guidance.flight.navigation import FlightPlan, Steering
 from companion.guidance.flight.searching import Searching

@@ -8,8 +8,7 @@ from companion.domain import PositionEnu, PositionSetpoint
 from companion.guard.gate import GuardReason
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, Topic
 from companion.guidance.context import SessionContext
-from companion.guidance.control_authority import FOLLOW_UP_S
-from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.control_authority import FOLLOW_UP_S, Finding, Reason, Verdict
 from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
 from companion.guidance.launch import LaunchView

@@ -12,8 +12,14 @@ from companion.domain import FlightMode, LandedState
 from companion.guidance import events
 from companion.guidance.commands import Severity, Topic
 from companion.guidance.context import SessionContext
-from companion.guidance.control_authority import GRANT_REASONS, REGAIN_QUIET_S, hand_back_mode
-from companion.guidance.findings import Finding, Reason, Verdict
+from companion.guidance.control_authority import (
+    GRANT_REASONS,
+    REGAIN_QUIET_S,
+    Finding,
+    Reason,
+    Verdict,
+    hand_back_mode,
+)
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M, vehicle_refusal
 from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.readiness import missing_inputs

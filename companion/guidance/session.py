@@ -28,7 +28,7 @@ from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
 from companion.guidance.measurements import EmitterScheduler, Measuring
 from companion.guidance.phases import IN_CONTROL, Phase
-from companion.guidance.recovery import Recollection, memory_of
+from companion.guidance.readiness import Recollection, memory_of
 from companion.planning.planner import Planner
 
 

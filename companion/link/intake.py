@@ -32,8 +32,7 @@ import math
 from collections.abc import Mapping
 from enum import IntEnum
 
-from companion.guidance.commands import Announce, Severity
-from companion.guidance.text_gate import CAUSE_PERIOD_S
+from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
 from companion.link.binding import AutopilotBinding
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink

@@ -19,9 +19,8 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from companion.guidance.commands import Announce, Severity
+from companion.guidance.commands import Announce, Severity, TextGate
 from companion.guidance.control_authority import ID_CONFLICT_S
-from companion.guidance.text_gate import TextGate
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole

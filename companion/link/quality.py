@@ -29,8 +29,7 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from companion.guidance.commands import Announce, Severity
-from companion.guidance.text_gate import CAUSE_PERIOD_S
+from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
 from companion.link.binding import AutopilotBinding
 from companion.link.intake import Intake, RateLimit
 from companion.link.interface import LinkParams

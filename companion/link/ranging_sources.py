@@ -20,8 +20,7 @@ from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned
-from companion.guidance.commands import Announce, Severity
-from companion.guidance.text_gate import CAUSE_PERIOD_S
+from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.link.intake import RateLimit
 from companion.mav.codec import MavCodec

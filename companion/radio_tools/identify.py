@@ -22,8 +22,7 @@ from companion.errors import CompanionError
 from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk, OneShotEndpoint
-from companion.radios.catalogue import BUILT_IN, radio_kind
-from companion.radios.decoder import FrameDecoder, Poll, RadioDecoder
+from companion.radios.decoder import BUILT_IN, FrameDecoder, Poll, RadioDecoder, radio_kind
 
 LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)

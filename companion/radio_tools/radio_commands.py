@@ -33,7 +33,7 @@ from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.radio_tools import calibrate
 from companion.radio_tools.identify import identify
 from companion.radio_tools.recorder import record_radios
-from companion.radios.catalogue import known_radios, radio_kind
+from companion.radios.decoder import known_radios, radio_kind
 
 LINE_S = 1.0
 KEPT = 50

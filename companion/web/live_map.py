@@ -158,7 +158,7 @@ class WebProcess:
 
     def _start(self) -> None:
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "companion.web"],
+            [sys.executable, "-m", "companion.web.server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(self._listener.fileno(),),

@@ -352,3 +352,7 @@ def main() -> None:
         Path("/proc/self/oom_score_adj").write_bytes(OOM_SCORE)
     logging.getLogger("nicegui").setLevel(logging.WARNING)
     asyncio.run(serve())
+
+
+if __name__ == "__main__":
+    main()

@@ -38,11 +38,11 @@ from sim_link.autopilot.protocols.addressing import (
     StatusTexts,
     partner_of,
 )
-from sim_link.autopilot.protocols.clock_protocols import Clocks
 from sim_link.autopilot.protocols.command_protocol import (
     UNANSWERED,
     UNKNOWN_PROGRESS,
     Cancel,
+    Clocks,
     Command,
     CommandResult,
     Commands,

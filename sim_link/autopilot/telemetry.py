@@ -23,7 +23,7 @@ from sim_link.autopilot.motion_messages import (
     to_e7,
 )
 from sim_link.autopilot.protocols.addressing import flags_of
-from sim_link.autopilot.protocols.clock_protocols import NS_PER_S
+from sim_link.autopilot.protocols.command_protocol import NS_PER_S
 from sim_link.autopilot.protocols.plan_items import MissionProgress
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.autopilot.vehicle_types import MAV_TYPE

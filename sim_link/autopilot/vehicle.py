@@ -39,7 +39,7 @@ from sim_link.autopilot.incidents import (
     WindChange,
 )
 from sim_link.autopilot.pilot import STEP_S
-from sim_link.autopilot.protocols.clock_protocols import StampClock
+from sim_link.autopilot.protocols.command_protocol import StampClock
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.px4 import commands as px4_commands
 from sim_link.autopilot.px4.firmware_profile import px4_parameters

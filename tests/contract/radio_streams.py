@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from companion.domain import Params
-from companion.radios.catalogue import radio_kind
 from companion.radios.cellular import NrOptions, SrsRanOptions
+from companion.radios.decoder import radio_kind
 from companion.radios.text_radios import LinesOptions
 from companion.testing.radio_contract import golden_lines
 

@@ -15,8 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.radios.catalogue import BUILT_IN, radio_kind
-from companion.radios.decoder import RadioDecoder, RadioReading
+from companion.radios.decoder import BUILT_IN, RadioDecoder, RadioReading, radio_kind
 from companion.testing.radio_contract import fault_of, golden_lines
 from tests.contract.radio_streams import CHECKSUMMED, OPTIONS, STREAMS
 

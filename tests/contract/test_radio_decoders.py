@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.radios.catalogue import BUILT_IN, radio_kind
+from companion.radios.decoder import BUILT_IN, radio_kind
 from companion.testing.radio_contract import check_radio
 from tests.contract.radio_streams import CHECKSUMMED, OPTIONS, STREAMS, TELLS_NEW_FROM_OLD
 

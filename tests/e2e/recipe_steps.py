@@ -284,7 +284,7 @@ ACME = RadioKind(
     ),
     2: (
         Edit(
-            "companion/radios/catalogue.py",
+            "companion/radios/decoder.py",
             '    "acme": "companion.radios.acme:ACME",\n',
             r"^BUILT_IN: .* = \{\n",
         ),
@@ -370,7 +370,7 @@ class Acme(Emulator):
 FAILSAFE: Steps = {
     1: (
         Edit(
-            "companion/guidance/findings.py",
+            "companion/guidance/control_authority.py",
             '    VIBRATION = "strong vibration"\n',
             r"^    NO_FIX = .*\n",
         ),
@@ -386,7 +386,7 @@ Source: ArduPilot, "Measuring Vibration": above 30 m/s^2 there is trouble.
 from __future__ import annotations
 
 from companion.guidance import events
-from companion.guidance.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 
 STRONG_MPS2 = 30.0
 
@@ -473,7 +473,7 @@ def _vibration(message: Message, now_s: float) -> list[Event]:
             """from __future__ import annotations
 
 from companion.guidance.events import VibrationReported
-from companion.guidance.findings import Verdict
+from companion.guidance.control_authority import Verdict
 from companion.guidance.health.vibration import VibrationWatch
 
 

@@ -9,7 +9,7 @@ import socket
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from companion.io.links.tcp import TcpServerLink
+from companion.io.links.stream_links import TcpServerLink
 from companion.io.links.transports import Transport
 from companion.io.links.udp import UdpLink
 from companion.io.shell import Clock, Shell

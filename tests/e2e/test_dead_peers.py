@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from companion.io.links.byte_streams import USER_TIMEOUT_MS, tune
-from companion.io.links.tcp import MAX_CLIENTS, TcpFanOutLink
+from companion.io.links.stream_links import MAX_CLIENTS, TcpFanOutLink
 from companion.io.links.transports import TcpClient, TcpFanOut, TcpServer
 from companion.io.shell import Shell
 from tests.e2e.shell_helpers import (

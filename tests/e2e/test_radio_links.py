@@ -293,7 +293,7 @@ def test_a_program_ends_even_where_the_companion_is_killed(tmp_path: Path) -> No
     mark = tmp_path / "pid"
     source = (
         "import asyncio, sys\n"
-        "from companion.io.links.program_links import ExecLink\n"
+        "from companion.io.links.stream_links import ExecLink\n"
         "async def run():\n"
         "    link = ExecLink(sys.argv[1], None, 0, lambda chunks: print('heard', flush=True))\n"
         "    await link.open()\n"

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import LinkError
-from companion.io.links.program_links import PtyLink
-from companion.io.links.tcp import MAX_CLIENTS, TcpFanOutLink
+from companion.io.links.stream_links import MAX_CLIENTS, PtyLink, TcpFanOutLink
 from companion.io.links.transports import (
     Pty,
     TcpFanOut,

@@ -10,8 +10,7 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.commands import SessionParams
-from companion.guidance.control_authority import REGAIN_QUIET_S
-from companion.guidance.findings import Reason
+from companion.guidance.control_authority import REGAIN_QUIET_S, Reason
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink

@@ -20,8 +20,8 @@ from sim_link.autopilot.protocols.addressing import (
     StatusTexts,
     partner_of,
 )
-from sim_link.autopilot.protocols.clock_protocols import Clocks
 from sim_link.autopilot.protocols.command_protocol import (
+    Clocks,
     Command,
     CommandForms,
     CommandResult,

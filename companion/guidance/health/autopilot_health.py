@@ -27,7 +27,7 @@ import math
 
 from companion.domain import BatteryLevel, FlightMode, LandedState
 from companion.guidance import events
-from companion.guidance.findings import Finding, Reason, Verdict, Watch, worst
+from companion.guidance.control_authority import Finding, Reason, Verdict, Watch, worst
 
 CONFIRMED_BY = 2
 LEG_S = 20.0

@@ -37,7 +37,7 @@ from collections import deque
 from companion.domain import PositionEnu
 from companion.guidance import events
 from companion.guidance.commands import StickReaction
-from companion.guidance.findings import Finding, Reason, Verdict, Watch
+from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 
 TOLERANCE_M = 1.5
 """An echo nearer to our path than this is ours: PX4 smooths, and floats round."""

@@ -29,8 +29,8 @@ from companion.domain import PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
 from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.context import SessionContext
+from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 from companion.guidance.events import OriginSet, VehicleMoved, YawMeasured
-from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.flight.fencing import MAX_STEP_M
 from companion.guidance.flight.vehicle import ORIGIN_STEP_M
 from companion.guidance.flight.vehicle_track import is_plausible

@@ -21,8 +21,8 @@ from companion.estimation.screen import Objection
 from companion.guidance import events
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.context import SessionContext
+from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 from companion.guidance.events import OperatorCommand
-from companion.guidance.findings import Finding, Reason, Verdict, Watch
 from companion.guidance.health.autopilot_health import BatteryWatch, HealthWatch, LandingWatch
 from companion.guidance.health.contention import EchoWatch, StickWatch
 from companion.guidance.health.position_jumps import JumpWatch

@@ -22,8 +22,13 @@ from pathlib import Path
 from companion.errors import ConfigError
 from companion.io.links.byte_streams import SerialLink, TcpClientLink
 from companion.io.links.link import Link, Received
-from companion.io.links.program_links import ExecLink, PtyLink, StdinLink
-from companion.io.links.tcp import TcpFanOutLink, TcpServerLink
+from companion.io.links.stream_links import (
+    ExecLink,
+    PtyLink,
+    StdinLink,
+    TcpFanOutLink,
+    TcpServerLink,
+)
 from companion.io.links.udp import UdpConnectLink, UdpFanOutLink, UdpLink
 from companion.io.links.waiting_links import FileLink, HttpPollLink, PlayedFileLink, WebSocketLink
 from companion.link.interface import LinkRole, LinkSpec, RadioSetup

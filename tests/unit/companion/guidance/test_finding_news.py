@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from companion.guidance.context import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from companion.guidance.control import TICK_S
+from companion.guidance.control_authority import Finding, Reason, Verdict
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
-from companion.guidance.findings import Finding, Reason, Verdict
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")

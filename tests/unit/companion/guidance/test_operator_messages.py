@@ -9,7 +9,7 @@ from pathlib import Path
 
 import companion
 from companion.guard.gate import GuardReason
-from companion.guidance.findings import Reason
+from companion.guidance.control_authority import Reason
 from companion.guidance.messages import SILENT
 
 GUIDANCE = Path(companion.__file__).parent / "guidance"

@@ -17,7 +17,7 @@ from companion.guidance.events import (
     UncleanExitFound,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.recovery import ORIGIN_PATIENCE_S
+from companion.guidance.readiness import ORIGIN_PATIENCE_S
 from tests.unit.companion.guidance.scripted import ORIGIN, TARGET, ScriptedFlight
 
 AUTO = SessionParams(engage="auto")

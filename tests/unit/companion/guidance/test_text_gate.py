@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.commands import Announce, Severity, Topic
-from companion.guidance.text_gate import CAUSE_PERIOD_S, MOST_CAUSES, TextGate
+from companion.guidance.commands import (
+    CAUSE_PERIOD_S,
+    MOST_CAUSES,
+    Announce,
+    Severity,
+    TextGate,
+    Topic,
+)
 
 BYTES_PER_S = 5760.0
 

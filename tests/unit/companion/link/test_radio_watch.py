@@ -7,7 +7,7 @@ from dataclasses import replace
 from companion.config.radios import RadioConfig
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, build_endpoint
-from companion.guidance.text_gate import TextGate
+from companion.guidance.commands import TextGate
 from companion.link.intake import MOST_RAW_BYTES, RAW_BYTES, FloodBudget
 from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.quality import RadioWatch

@@ -11,7 +11,7 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.mav.endpoint import Chunk
 from companion.radio_tools.identify import LISTEN_S, Attempt, Ear, Listener, attempts, identify
-from companion.radios.catalogue import radio_kind
+from companion.radios.decoder import radio_kind
 from sim_link.emulators.catalogue import make_emulator
 from sim_link.emulators.emulator import Answer, Emulator, Round
 from tests.radio_formats import ALL, FORMATS, Format

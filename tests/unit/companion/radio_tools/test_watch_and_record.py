@@ -30,7 +30,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.radio_tools.radio_commands import WatchingEndpoint, scatter_of
 from companion.radio_tools.recorder import PoseListener, RecordingEndpoint
-from companion.radios import catalogue
+from companion.radios import decoder
 from companion.replay.replay_commands import replay_recording
 from tests.unit.companion.link.wire import PEER, heartbeat, local_position, origin
 
@@ -191,8 +191,8 @@ def test_without_a_radio_a_command_says_how_to_name_one(words: list[str]) -> Non
 
 @pytest.fixture
 def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("sonar", "a_module_that_is_not_there:SONAR", catalogue.GROUP)
-    monkeypatch.setattr(catalogue, "entry_points", lambda **_: [point])
+    point = EntryPoint("sonar", "a_module_that_is_not_there:SONAR", decoder.GROUP)
+    monkeypatch.setattr(decoder, "entry_points", lambda **_: [point])
 
 
 @pytest.mark.usefixtures("broken_plugin")

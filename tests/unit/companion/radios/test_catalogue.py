@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.radios.catalogue import BUILT_IN, known_radios, radio_kind
+from companion.radios.decoder import BUILT_IN, known_radios, radio_kind
 
 GOOD = """\
 from companion.radios.decoder import LineDecoder, RadioKind, RadioReading

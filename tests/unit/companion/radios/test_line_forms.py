@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from companion.errors import ConfigError
-from companion.radios.catalogue import BUILT_IN, radio_kind
-from companion.radios.decoder import RadioDecoder, RadioReading
+from companion.radios.decoder import BUILT_IN, RadioDecoder, RadioReading, radio_kind
 from companion.radios.line_forms import (
     RADIOS,
     PozyxDecoder,

@@ -9,7 +9,7 @@ import pytest
 from companion.config.radios import radio_setups
 from companion.config.schema import load_config
 from companion.flight_setup import radio_links
-from companion.radios.catalogue import BUILT_IN
+from companion.radios.decoder import BUILT_IN
 
 ROOT = Path(__file__).resolve().parents[4]
 PRESETS = sorted((ROOT / "configs" / "radios").glob("*.yaml"))

@@ -11,8 +11,8 @@ import pytest
 
 from companion.cli import main
 from companion.errors import EXIT_BAD_INPUT
-from companion.setup_tools import tile_commands
-from companion.setup_tools.tile_commands import wanted_tiles
+from companion.setup_tools import config_commands
+from companion.setup_tools.config_commands import wanted_tiles
 from companion.web.settings import tile
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -76,7 +76,7 @@ def test_after_a_failure_it_goes_on_where_it_was(
 def test_what_is_too_large_for_a_tile_is_not_cut_and_stored(
     server: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tile_commands, "MOST_BYTES", 10)
+    monkeypatch.setattr(config_commands, "MOST_BYTES", 10)
     assert fetch(server, tmp_path) == EXIT_BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "more than 10 bytes" in line

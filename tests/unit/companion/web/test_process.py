@@ -118,7 +118,7 @@ def test_a_flight_that_ends_in_the_middle_of_a_picture_ends_the_page_in_silence(
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         page = subprocess.run(
-            [sys.executable, "-m", "companion.web"],
+            [sys.executable, "-m", "companion.web.server"],
             input=words.replace("FD", str(listener.fileno())),
             capture_output=True,
             text=True,

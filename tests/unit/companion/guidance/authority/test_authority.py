@@ -10,6 +10,7 @@ import pytest
 from companion.domain import Autopilot, BatteryLevel, FlightMode, LandedState, VehicleClass
 from companion.guidance.commands import Arm, SendSetpoint, SessionParams, SetMode, TakeOff
 from companion.guidance.control import TICK_S
+from companion.guidance.control_authority import Finding, Reason, Verdict
 from companion.guidance.events import (
     AutopilotRestarted,
     BatteryReported,
@@ -24,7 +25,6 @@ from companion.guidance.events import (
     StopRequested,
     ThrottleReported,
 )
-from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import Phase

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import BatteryLevel, FlightMode
+from companion.guidance.control_authority import Verdict
 from companion.guidance.events import BatteryReported
-from companion.guidance.findings import Verdict
 from companion.guidance.health.autopilot_health import BatteryWatch
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from companion.domain import PositionEnu
+from companion.guidance.control_authority import Finding, Reason, Verdict
 from companion.guidance.events import SetpointEchoed
-from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.health.contention import TOLERANCE_M, EchoWatch
 
 TICK_S = 0.05

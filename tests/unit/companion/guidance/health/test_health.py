@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import Autopilot, BatteryLevel, FlightMode
+from companion.guidance.control_authority import Finding, Reason, Verdict
 from companion.guidance.events import (
     BatteryReported,
     EstimatorStatusReported,
     FixReported,
     HeartbeatReceived,
 )
-from companion.guidance.findings import Finding, Reason, Verdict
 from companion.guidance.health.autopilot_health import RECEIVER_S, BatteryWatch, HealthWatch
 
 STEP_S = 0.2

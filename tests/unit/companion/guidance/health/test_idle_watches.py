@@ -6,6 +6,7 @@ import random
 from collections import Counter
 
 from companion.domain import BatteryLevel, LandedState, VehicleState
+from companion.guidance.control_authority import Watch
 from companion.guidance.events import (
     AutopilotRestarted,
     BatteryReported,
@@ -21,7 +22,6 @@ from companion.guidance.events import (
     ThrottleReported,
     VehicleMoved,
 )
-from companion.guidance.findings import Watch
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 

@@ -12,7 +12,7 @@ from companion.config.schema import PlannerConfig
 from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.commands import SendSetpoint, SessionParams
 from companion.guidance.control import TICK_S
-from companion.guidance.findings import Reason
+from companion.guidance.control_authority import Reason
 from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.commands import StickReaction
+from companion.guidance.control_authority import Verdict
 from companion.guidance.events import RcStatusReported, SticksReported
-from companion.guidance.findings import Verdict
 from companion.guidance.health.contention import StickWatch
 
 REST = (0.0, 0.0, -1.0, 0.0)

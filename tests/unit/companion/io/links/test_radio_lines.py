@@ -11,8 +11,7 @@ import pytest
 from companion.config.radios import RadioConfig, radio_setup
 from companion.errors import ConfigError, LinkError
 from companion.io.links.link import Link
-from companion.io.links.program_links import StdinLink
-from companion.io.links.tcp import TcpServerLink
+from companion.io.links.stream_links import StdinLink, TcpServerLink
 from companion.io.links.transports import OwnLine, radio_link
 from companion.link.interface import LinkRole, RadioSettings, RadioSetup
 from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading

@@ -8,7 +8,7 @@ from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from sim_link.autopilot.protocols.addressing import Addressing
-from sim_link.autopilot.protocols.clock_protocols import Clocks
+from sim_link.autopilot.protocols.command_protocol import Clocks
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, received, said
 
 PX4 = Clocks(Addressing(1))
