@@ -11,11 +11,11 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import msgspec
 
@@ -24,8 +24,9 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
 from tools.console import OneLineParser, non_negative, positive, shown
+from tools.study import search_planners, searched_area
 from tools.study.field_flights import flights_of, fly_all, rows_kept
-from tools.study.power_pairs import PowerPair, fly_both, table_of_power
+from tools.study.power_pairs import fly_both, table_of_power
 from tools.study.reporting.area_report import write_area_report
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
 from tools.study.reporting.study_report import Section, sections_of, write_page
@@ -34,9 +35,7 @@ from tools.study.reporting.study_tables import (
     studies_of,
 )
 from tools.study.reporting.tables import tables_of
-from tools.study.searched_area import Trial
-from tools.study.searched_area import fly as fly_search
-from tools.study.searched_prior import FixPair, fly_pair, table_of_pairs
+from tools.study.searched_prior import fly_pair, table_of_pairs
 from tools.study.step_costs import costs_of
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
 from tools.study.study_run import (
@@ -61,7 +60,7 @@ def main() -> int:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
         check_folder(out)
         if arguments.study in SIMULATED:
-            return SIMULATED[arguments.study](arguments, out)
+            return run_simulated(arguments, out)
         studies = studies_of(arguments.study, STUDIES)
         if studies[0].flights is not None:
             return run_flights(studies[0], arguments, out)
@@ -169,91 +168,80 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
     say(f"{out}: flights.csv, flights.json, results.csv, results.md, report.html")
 
 
-Flown = TypeVar("Flown")
-
-
-def all_flown(
-    arguments: argparse.Namespace, fly: Callable[..., Flown], flights: int
-) -> list[Flown]:
-    """Return what `fly(number, seed=...)` returns for each flight, in order, and show progress."""
-    runs, flown = arguments.runs or flights, {}
+def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
+    """Fly a study that no file describes; write what came of its flights, in their order."""
+    study, flown = SIMULATED[arguments.study], dict[int, Any]()
+    runs = arguments.runs or study.flights
     with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
-        for number, found in pool.results(partial(fly, seed=arguments.seed), range(runs)):
+        for number, found in pool.results(partial(study.fly, seed=arguments.seed), range(runs)):
             flown[number] = found
             on_done(1.0)
-    return [flown[number] for number in sorted(flown)]
-
-
-SEARCH, SEARCH_FLIGHTS = "search", 100
-
-
-def run_search(arguments: argparse.Namespace, out: Path) -> int:
-    """Fly searches by several planners in the same worlds."""
-    from tools.study.search_planners import SearchTimes, fly_planners, table_of
-
-    flown: list[list[SearchTimes]] = all_flown(arguments, fly_planners, SEARCH_FLIGHTS)
     make_folder(out)
-    table, is_met = table_of([each for times in flown for each in times])
-    write_text_atomic(out / "planners.txt", table)
-    print(table, end="")
-    if not is_met:
-        print("run_study: the planner `probability` exceeds a limit", file=sys.stderr)
-    return 0 if is_met else 1
+    if study.write(out, [flown[number] for number in sorted(flown)]):
+        return 0
+    print(f"run_study: {study.failure}", file=sys.stderr)
+    return 1
 
 
-PRIOR, PRIOR_FLIGHTS = "prior", 400
-"""More than half of them have a contact after a search."""
+def table_to(name: str, table_of: Callable[[list[Any]], tuple[str, bool]]) -> Write:
+    """Return what writes a table to a file and prints it."""
+
+    def write(out: Path, flown: list[Any]) -> bool:
+        table, is_met = table_of(flown)
+        write_text_atomic(out / name, table)
+        print(table, end="")
+        return is_met
+
+    return write
 
 
-def run_prior(arguments: argparse.Namespace, out: Path) -> int:
-    """Fly searches to their first fix, with and without what was searched in vain."""
-    flown: list[FixPair | None] = all_flown(arguments, fly_pair, PRIOR_FLIGHTS)
-    make_folder(out)
-    table, is_met = table_of_pairs([pair for pair in flown if pair is not None])
-    write_text_atomic(out / "prior.txt", table)
-    print(table, end="")
-    if not is_met:
-        print("run_study: the searched prior delays a fix", file=sys.stderr)
-    return 0 if is_met else 1
-
-
-POWER, POWER_FLIGHTS = "power", 100
-
-
-def run_power(arguments: argparse.Namespace, out: Path) -> int:
-    """Fly searches by ranges, without and with the received power beside them."""
-    flown: list[PowerPair] = all_flown(arguments, fly_both, POWER_FLIGHTS)
-    make_folder(out)
-    table, is_met = table_of_power(flown)
-    write_text_atomic(out / "power.txt", table)
+def write_power(out: Path, flown: list[Any]) -> bool:
+    """Write the pairs of flights, and their table."""
     write_json_atomic(out / "flights.json", flown)
-    print(table, end="")
-    if not is_met:
-        print("run_study: flights with received power are the worse ones", file=sys.stderr)
-    return 0 if is_met else 1
+    return table_to("power.txt", table_of_power)(out, flown)
 
 
-AREA, AREA_FLIGHTS = "area", 2000
-
-
-def run_area(arguments: argparse.Namespace, out: Path) -> int:
-    """Fly searches to check stated probabilities of detection."""
-    flown: list[list[Trial]] = all_flown(arguments, fly_search, AREA_FLIGHTS)
-    make_folder(out)
+def write_area(out: Path, flown: list[Any]) -> bool:
+    """Write table and diagram of the stated probabilities."""
     is_met = write_area_report(out, [trial for trials in flown for trial in trials])
     say(f"{out}: reliability.csv, reliability.png")
-    if not is_met:
-        print("run_study: a stated probability is off by more than 3 %", file=sys.stderr)
-    return 0 if is_met else 1
+    return is_met
 
 
-SIMULATED: Mapping[str, Callable[[argparse.Namespace, Path], int]] = {
-    AREA: run_area,
-    POWER: run_power,
-    PRIOR: run_prior,
-    SEARCH: run_search,
+Write = Callable[[Path, list[Any]], bool]
+"""Writes the results of flights into a folder; returns True within the limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedStudy:
+    """Study of flights that are numbered, and drawn from number and seed alone."""
+
+    fly: Callable[..., Any]
+    flights: int
+    write: Write
+    failure: str
+
+
+SIMULATED = {
+    "area": SimulatedStudy(
+        searched_area.fly, 2000, write_area, "a stated probability is off by more than 3 %"
+    ),
+    "power": SimulatedStudy(
+        fly_both, 100, write_power, "flights with received power are the worse ones"
+    ),
+    "prior": SimulatedStudy(
+        fly_pair,
+        400,  # more than half of them have a contact after a search
+        table_to("prior.txt", table_of_pairs),
+        "the searched prior delays a fix",
+    ),
+    "search": SimulatedStudy(
+        search_planners.fly_planners,
+        100,
+        table_to("planners.txt", search_planners.table_of),
+        "the planner `probability` exceeds a limit",
+    ),
 }
-"""Studies that no file describes."""
 ROW_NAMES = tuple(field.name for field in fields(ResultRow))
 
 

@@ -7,9 +7,8 @@
     bound       the tracker with its window on tracks of FIM and latched crossing: RMSE beside the
                 Cramer-Rao bound of those tracks
     walks       only if asked for: recorded walks in --walks FOLDER (rtt*, uwb*, plaza* and wsr*
-                .csv), and --placed invented ones of each kind with spatially correlated errors:
-                error of the final and of the better stated position, states and share that holds,
-                at the end and at each tenth of the way, and the cost of a measurement
+                .csv): error of the final and of the better stated position, states and share that
+                holds, at the end and at each tenth of the way, and the cost of a measurement
     honesty     NEES of the position and coverage of the R95 circle, with the noise that the filter
                 assumes (no NLOS; offsets of the paper, or drawn from the priors), and coverage
                 with the paper's NLOS, on lanes and on latched crossings
@@ -309,7 +308,7 @@ def main() -> int:
             check_writable(arguments.json)
         parts = [part for part in PARTS if part in (arguments.only or PARTS)]
         if "walks" in (arguments.only or ()):
-            lines = walk_lines(arguments.walks, arguments.placed, arguments.seed)
+            lines = walk_lines(arguments.walks)
             if arguments.leave_one_out:
                 lines += left_out_lines(arguments.walks, arguments.jobs, show_progress)
             print("\n".join(lines))
@@ -335,7 +334,6 @@ def parsed() -> argparse.Namespace:
     parts = (*PARTS, "walks")
     parser.add_argument("--only", choices=parts, action="append", help="may be given twice")
     parser.add_argument("--walks", type=Path, default=WALKS, metavar="DIR", help="recorded walks")
-    parser.add_argument("--placed", type=non_negative, default=0, help="invented walks of a kind")
     text = (
         "choose Wi-Fi presets with each file left out in turn, too; half an hour of processor time"
     )

@@ -15,10 +15,6 @@ from datetime import datetime, timedelta
 from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
-from stonesoup.movable.grid import NStepDirectionalGridMovable
-from stonesoup.platform import FixedPlatform
-from stonesoup.sensormanager import BruteForceSensorManager
-from stonesoup.types.state import State, StateVector
 
 from companion.geometry.polygons import Point
 from companion.planning.planner import Planner, PlanRequest
@@ -83,6 +79,12 @@ class StoneSoup:
     """Stone-Soup's sensor manager; it chooses where a move ends."""
 
     def __init__(self, spacing_m: float, table: LegTable) -> None:
+        # an extra, which takes most of a second to import
+        from stonesoup.movable.grid import NStepDirectionalGridMovable
+        from stonesoup.platform import FixedPlatform
+        from stonesoup.sensormanager import BruteForceSensorManager
+        from stonesoup.types.state import State, StateVector
+
         count = max(1, round(SIDE_M / spacing_m))
         state = State(StateVector([[0.5 * SIDE_M / count]] * 2), datetime(2026, 1, 1))  # noqa: DTZ001
         space = np.array([[MARGIN_M, SIDE_M - MARGIN_M]] * 2)
@@ -213,8 +215,9 @@ MOST_RATIO: Mapping[Poa, float] = {"even": 1.02, "uneven": 0.7}
 """Median time of `probability` over the lawnmower's."""
 
 
-def table_of(times: Sequence[SearchTimes]) -> tuple[str, bool]:
-    """Return the table of medians as text, and True within the limits."""
+def table_of(flown: Sequence[Sequence[SearchTimes]]) -> tuple[str, bool]:
+    """Return the table of medians over all flights as text, and True within the limits."""
+    times = [each for found in flown for each in found]
     lines = ["POA      planner       median s  of lawnmower  heard"]
     is_met = True
     for poa in POAS:

@@ -123,8 +123,9 @@ def _fix(
     return Fix(last_open_s, fix_s, right / max(count, 1))
 
 
-def table_of_pairs(pairs: Sequence[FixPair]) -> tuple[str, bool]:
+def table_of_pairs(found: Sequence[FixPair | None]) -> tuple[str, bool]:
     """Return the comparison as text, and True if no fix is later and other places vanish sooner."""
+    pairs = [pair for pair in found if pair is not None]
     decided = np.array([(p.without.decided_s, p.with_prior.decided_s) for p in pairs])
     fixed = np.array([(p.without.fix_s, p.with_prior.fix_s) for p in pairs])
     right = np.array([(p.without.right_share, p.with_prior.right_share) for p in pairs])

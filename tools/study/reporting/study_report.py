@@ -6,7 +6,6 @@ is read from the canonical case, so that it cannot differ from the code.
 
 from __future__ import annotations
 
-import math
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -29,7 +28,6 @@ from tools.study.reporting.tables import (
     TableView,
     count_verdicts,
     tables_of,
-    tornado_of,
     typeset,
 )
 from tools.study.study import ResultRow, StudyResult
@@ -79,7 +77,6 @@ def write_page(
     costs: Sequence[ResultRow] = (),
 ) -> None:
     """Write the figures, PNG and SVG, and `report.html`; raises a CompanionError if that fails."""
-    results = [section.result for section in sections]
     folder = out / FIGURES
     try:
         folder.mkdir(exist_ok=True)
@@ -88,8 +85,7 @@ def write_page(
     for drawing in (drawing for section in sections for drawing in section.drawings):
         write_bytes_atomic(folder / f"{drawing.name}.svg", drawing.svg.encode())
         write_bytes_atomic(folder / f"{drawing.name}.png", drawing.png)
-    text = page(results, sections, rows, costs, provenance())
-    write_text_atomic(out / "report.html", text)
+    write_text_atomic(out / "report.html", page(sections, rows, costs, provenance()))
 
 
 def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> list[Section]:
@@ -106,7 +102,6 @@ def sections_of(results: Sequence[StudyResult], rows: Sequence[ResultRow]) -> li
 
 
 def page(
-    results: Sequence[StudyResult],
     sections: Sequence[Section],
     rows: Sequence[ResultRow],
     costs: Sequence[ResultRow],
@@ -116,8 +111,7 @@ def page(
     environment = page_environment("tools.study.reporting")
     environment.filters["set"] = typeset
     environment.filters["inline"] = lambda drawing: Markup(inline(drawing))
-    environment.filters["factor"] = factor_text
-    cost_tables = tables_of(costs)
+    results = [section.result for section in sections]
     claims = claims_of(Findings(results, rows, costs))
     return environment.get_template("report.html.j2").render(
         title=title_of(results),
@@ -125,8 +119,7 @@ def page(
         verdict=verdict_line(claims),
         counts=count_verdicts([table for section in sections for table in section.tables]),
         sections=sections,
-        costs=cost_tables,
-        tornado=tornado_of(results),
+        costs=tables_of(costs),
         open_points=open_points(Case()) if any(result.cells for result in results) else (),
         made_with=made_with,
         runs=sorted({result.runs for result in results}),
@@ -147,12 +140,6 @@ def verdict_line(claims: Sequence[Claim]) -> str:
     if met == len(claims):
         return f"All {met} claims that this run can judge are met"
     return f"{met} of {len(claims)} claims are met"
-
-
-def factor_text(factor: float) -> str:
-    """Return a factor in as many digits as matter."""
-    digits = 2 if factor < 10.0 else 0
-    return f"{factor:.{digits}f}" if math.isfinite(factor) else "\N{INFINITY}"
 
 
 def provenance() -> dict[str, str]:

@@ -1,17 +1,16 @@
-"""Tables of the page, names for people, and the effect of each assumption (tornado)."""
+"""Tables of the page, and names for people."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
 from tools.study.reporting.figure_data import interval, numbers
-from tools.study.study import CellResult, ResultRow, StudyResult
-from tools.study.systems import System
+from tools.study.study import ResultRow
 
 MU, SIGMA, ETA = "\N{GREEK SMALL LETTER MU}", "\N{GREEK SMALL LETTER SIGMA}", "\u03b7"
 PARAMETERS = {
@@ -238,97 +237,3 @@ def _cell(own: dict[Key, ResultRow], value: str, system: str, metric: str) -> Ta
 
 def _number(text: str) -> float:
     return math.inf if text.startswith(">") else numbers(text)
-
-
-TABLE = "assumptions"
-LEAST_SPAN = 2.0
-MOST_SPAN = 10.0
-"""Factors at the ends of the bars' axis; beyond it a bar is cut."""
-
-
-Factors = list[tuple[str, float]]
-
-
-@dataclass(frozen=True, slots=True)
-class Swing:
-    """Effect of an assumption's values on one system's final RMSE."""
-
-    factors: tuple[tuple[str, float], ...]
-    """Value, and final RMSE by that of our choice."""
-    left_percent: float
-    """Start of the bar, in percent of the axis."""
-    width_percent: float
-
-    @property
-    def is_cut(self) -> bool:
-        """True if the bar goes on beyond the axis."""
-        return self.left_percent <= 0.0 or self.left_percent + self.width_percent >= 100.0
-
-
-@dataclass(frozen=True, slots=True)
-class Assumption:
-    """One open point, varied alone."""
-
-    parameter: str
-    values: tuple[str, ...]
-    swings: tuple[Swing | None, ...]
-    """Swing of each system of the tornado; None: not flown."""
-
-
-@dataclass(frozen=True, slots=True)
-class Tornado:
-    """All assumptions, those with the largest effect first."""
-
-    systems: tuple[str, ...]
-    assumptions: tuple[Assumption, ...]
-    span: float
-    """Factor at the right end of the axis; its inverse is at the left."""
-
-
-def tornado_of(results: Iterable[StudyResult]) -> Tornado | None:
-    """Return the tornado of the assumptions study, if it is there.
-
-    Its first values are the baseline.
-    """
-    cells = [cell for result in results for cell in result.cells if cell.table == TABLE]
-    if not cells:
-        return None
-    systems = list(dict.fromkeys(cell.system for cell in cells))
-    by_reach: list[tuple[float, list[CellResult], list[Factors]]] = []
-    for parameter in dict.fromkeys(cell.parameter for cell in cells):
-        own = [cell for cell in cells if cell.parameter == parameter]
-        factors = [_factors(own, system) for system in systems]
-        reach = max((abs(math.log(f)) for found in factors for _, f in found), default=0.0)
-        by_reach.append((reach, own, factors))
-    by_reach.sort(key=lambda row: -row[0])
-    span = min(max(math.exp(by_reach[0][0]), LEAST_SPAN), MOST_SPAN)
-    rows = tuple(
-        Assumption(
-            own[0].parameter.replace("_", " "),
-            tuple(dict.fromkeys(cell.value for cell in own)),
-            tuple(_swing(found, span) if found else None for found in factors),
-        )
-        for _, own, factors in by_reach
-    )
-    return Tornado(tuple(system.label for system in systems), rows, span)
-
-
-def _factors(cells: Sequence[CellResult], system: System) -> Factors:
-    """Return values and factors of one system, without the baseline."""
-    finals = [(c.value, float(c.tally.rmse_m[-1])) for c in cells if c.system == system]
-    if not finals or not finals[0][1] > 0.0:
-        return []
-    found = [(value, final_m / finals[0][1]) for value, final_m in finals[1:]]
-    return [(value, factor) for value, factor in found if 0.0 < factor < math.inf]
-
-
-def _swing(factors: Factors, span: float) -> Swing:
-    """Return the bar from the least to the largest factor; the baseline, 1, is always in it."""
-    ends = [1.0, *(factor for _, factor in factors)]
-    left, right = _share(min(ends), span), _share(max(ends), span)
-    return Swing(tuple(factors), 100.0 * left, 100.0 * (right - left))
-
-
-def _share(factor: float, span: float) -> float:
-    """Return the position of a factor on the logarithmic axis, from 0 to 1."""
-    return min(max(0.5 + 0.5 * math.log(factor) / math.log(span), 0.0), 1.0)

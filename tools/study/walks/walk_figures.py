@@ -21,7 +21,6 @@ from companion.errors import ConfigError
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.replay.walk_replay import WalkRow, read_walk
-from tools.study.walks.placed_walks import placed_cases, walks_of
 
 PRESETS = {
     "rtt": "wifi_rtt",
@@ -194,20 +193,14 @@ def target_line(target: TargetClaims) -> str:
     )
 
 
-def walk_lines(folder: Path, placed: int, seed: int) -> list[str]:
-    """Return the figures of a folder's recorded walks, and of `placed` invented ones a kind."""
+def walk_lines(folder: Path) -> list[str]:
+    """Return the figures of a folder's recorded walks."""
     pooled: dict[str, list[TargetClaims]] = {}
     lines: list[str] = []
     for path in walks_in(folder):
         found = claims_of(path, preset_of(path))
         lines += [target_line(target) for target in found]
         pooled.setdefault(name_of_preset(path), []).extend(found)
-    if placed:
-        params = load_config(CONFIGS / "wifi_rtt.yaml").tracking
-        for case in placed_cases():
-            walks = walks_of(case, range(seed, seed + placed))
-            found = [replayed(str(case), rows, params) for rows in walks]
-            pooled[f"invented, {case}"] = found
     for name, targets in pooled.items():
         lines += pooled_lines(name, targets)
     return lines

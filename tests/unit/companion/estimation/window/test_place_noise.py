@@ -18,7 +18,7 @@ from companion.estimation.window.place_noise import (
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
-from tools.study.walks.placed_walks import PlacedCase, walks_of
+from tests.unit.companion.estimation.window.placed_walks import PlacedCase, walks_of
 from tools.study.walks.walk_figures import CONFIGS, TargetClaims, replayed
 
 WIFI = load_config(CONFIGS / "wifi_rtt.yaml").tracking

@@ -58,7 +58,7 @@ def small_study(figures: tuple[FigureName, ...] = ()) -> tuple[StudyResult, list
 
 
 def text_of(results: list[StudyResult], rows: list[ResultRow]) -> str:
-    return page(results, sections_of(results, rows), rows, [], MADE_WITH)
+    return page(sections_of(results, rows), rows, [], MADE_WITH)
 
 
 @pytest.mark.slow

@@ -91,11 +91,6 @@ def walk_of(case: PlacedCase, rng: np.random.Generator) -> list[WalkRow]:
     ]
 
 
-def placed_cases() -> list[PlacedCase]:
-    """Return every path with every distance."""
-    return [PlacedCase(path, length_m) for length_m in LENGTHS_M for path in PATHS]
-
-
 def walks_of(case: PlacedCase, seeds: Iterable[int]) -> Iterator[list[WalkRow]]:
     """Yield walks of a kind, one for each seed."""
     number = PATHS.index(case.path)
