@@ -90,7 +90,7 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
 
 
 def _assumptions(model: DetectionModel) -> dict[str, object]:
-    """Return the detection model with the numbers of its environment."""
+    """Return the detection model with the figures of its environment."""
     return {**msgspec.to_builtins(model), **model.propagation._asdict()}
 
 
@@ -163,7 +163,7 @@ def _wrapped(longitude_deg: float) -> float:
 
 
 LEAST_PIXELS = 400
-"""Least pixels of the longer side, so that cells stay sharp in viewers that smooth what they
+"""Minimum pixels of the longer side, so that cells stay sharp in viewers that smooth what they
 enlarge."""
 POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
 """Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design"."""

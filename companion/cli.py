@@ -1,6 +1,6 @@
-"""The `companion` command: its parts, lines for people and exit codes.
+"""The `companion` command: its subcommands, console output and exit codes.
 
-Each part loads what it needs when it runs, so that `--help` and small commands come at once.
+Each subcommand imports its modules when it runs, so that `--help` and small commands start fast.
 """
 
 from __future__ import annotations

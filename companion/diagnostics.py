@@ -128,7 +128,7 @@ class ProcessDiagnostics:
         self._late_total_s = 0.0
 
     def run(self, now_s: float) -> None:
-        """Record and report what is due."""
+        """Record and report the figures that are due."""
         wall_s = now_s / self._speed
         if wall_s >= self._next_look_s:
             self._next_look_s = wall_s + LOOK_PERIOD_S
@@ -276,7 +276,7 @@ class Supervisor:
             self._socket = None
 
     def say(self, words: str) -> None:
-        """Notify the manager, if it reads."""
+        """Notify the service manager, if it listens."""
         if self._socket is None or self._address is None:
             return
         try:

@@ -135,7 +135,7 @@ def fly_demo(arguments: argparse.Namespace) -> int:
 
 
 def _report_flight(tiles: Path | None, directory: Path) -> None:
-    """Make the report of a flight; of a long one only on request, because the end must be quick."""
+    """Write the report of a flight; a long one's only on request, to keep the exit quick."""
     from companion.report.page import is_quick
 
     if is_quick(directory):

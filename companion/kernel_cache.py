@@ -34,7 +34,7 @@ SOURCES = (
     *("domain.py", "geometry", "estimation", "planning"),
     *("kernel.py", "kernel_builder.py", "warm_up.py"),
 )
-"""Sources of the compiled code, and what compiles them, in this package."""
+"""Sources of the compiled code and of its compiler in this package."""
 KEPT_S = 30.0 * 86400.0
 """Time for which unused compiled kernels are kept."""
 BUILDER = "companion.kernel_builder"
@@ -63,7 +63,7 @@ def describe(package: Path, variants: Variants) -> None:
 
 
 def load(package: Path) -> tuple[Any, Variants] | None:
-    """Return machine code and its variants; None: there is none, of other sources, or damaged."""
+    """Return machine code and its variants; None if missing, damaged or of other sources."""
     try:
         facts = ast.literal_eval((package / DESCRIPTION).read_text(encoding="utf-8"))
         variants: Variants = facts["variants"]
@@ -180,7 +180,7 @@ def compile_kernels() -> None:
 
 
 def _check_tools() -> None:
-    """Raise an error that names what is missing."""
+    """Raise an error that names the missing packages."""
     missing = [name for name in ("numba", "setuptools") if not importlib.util.find_spec(name)]
     if missing:
         raise CompanionError(f"compiling needs {missing[0]}: {how_to_install(*missing)}")

@@ -67,10 +67,10 @@ class CheckpointStorage(Protocol):
         """Save a checkpoint soon; never waits and never raises."""
 
     def discard(self) -> None:
-        """Delete all checkpoints, because the mission ended in order."""
+        """Delete all checkpoints after a normal end of the mission."""
 
     def close(self, timeout_s: float) -> None:
-        """Write what is queued within `timeout_s`."""
+        """Write everything queued within `timeout_s`."""
 
 
 class SessionClock(Protocol):
@@ -121,7 +121,7 @@ class RestartKeeper:
             self._look_back(max_age_s)
 
     def run(self, now_s: float) -> None:
-        """Restore and save what is due."""
+        """Restore and save the state when due."""
         binding = self._endpoint.binding
         if not binding.is_bound:
             return
@@ -259,7 +259,7 @@ class ParameterKeeper:
         self._writer.replace(self._path, content)
 
     def close(self, timeout_s: float) -> None:
-        """Write what is queued within `timeout_s`."""
+        """Write everything queued within `timeout_s`."""
         if self._writer is not None:
             self._writer.close(timeout_s)
 
@@ -302,7 +302,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         super().__init__("write searched area", MAX_QUEUED)
 
     def run(self, now_s: float) -> None:
-        """Write what was searched, if that is due."""
+        """Write the searched area if that is due."""
         searching = self._session.searching
         if not searching.is_worth_reporting:
             return

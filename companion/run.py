@@ -393,7 +393,7 @@ class _Flight:
         return self._journal.directory if isinstance(self._journal, FlightJournal) else None
 
     def run(self) -> None:
-        """Run to the end, whatever it is, and leave everything closed."""
+        """Run to the end, however it ends, and leave everything closed."""
         gc.freeze()  # objects so far stay: later collections need not scan them
         try:
             self._shell.run_blocking()

@@ -257,7 +257,7 @@ def _scenario(arguments: argparse.Namespace) -> Scenario:
 
 
 def _read_input(shell: Shell, orders: queue.SimpleQueue[bytes]) -> None:
-    """Hand over what is read, line by line, and stop when that ends."""
+    """Deliver the input line by line, and stop at its end."""
     rest = b""
     while data := os.read(sys.stdin.fileno(), 4096):
         *lines, rest = (rest + data).split(b"\n")

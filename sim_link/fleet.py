@@ -62,7 +62,7 @@ def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, ob
 
 
 def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
-    """Return the start report with `state` "ended" and what was flown."""
+    """Return the start report with `state` "ended" and the results of the flight."""
     vehicle, recorder = endpoint.vehicle, endpoint.recorder
     return start_report(endpoint, seed, speed) | {
         "state": "ended",

@@ -177,7 +177,7 @@ class FleetAmongOthers:
             self._fleet.receive(chunk, now_s)
 
     def handle_timer(self, now_s: float) -> None:
-        """Step all that are due; others come and go."""
+        """Step all vehicles that are due, and add and remove others."""
         for setup, links in [each for each in self._waiting if each[0].start_s <= now_s]:
             self._waiting.remove((setup, links))
             self._here.append((Neighbour(setup, self._scenario, None, now_s), links))

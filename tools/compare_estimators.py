@@ -37,7 +37,7 @@ from tools.study.walks.walk_figures import (
 
 LEVELS = (0.5, 0.8, 0.95, 0.99)
 NOTHING_M = 1e3
-"""Error of a target of which an estimator says nothing."""
+"""Error of a target without an estimate."""
 RESAMPLES = 2000
 """Bootstrap resamples of an interval."""
 OURS = "tracker"

@@ -88,7 +88,7 @@ class Traced:
 
 
 def traced_paths() -> Traced:
-    """Fly, and trace what passes in the window."""
+    """Fly, and trace the calls within the window."""
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, Scenario(), 1, MemoryJournal())
     flight.run(FROM_S)

@@ -62,7 +62,7 @@ OFFSET_BAND_M = (4.5, 6.5)
 MAX_BOUND_RATIO = 1.3
 RANGE_SIGMAS_M = (0.5, 1.5, 2.5)
 HONESTY_CASES: tuple[tuple[float, Offsets], ...] = ((0.0, "fixed"), (0.0, "prior"), (0.9, "fixed"))
-"""Share of NLOS, and whose offsets."""
+"""Share of NLOS measurements, and the source of the offsets."""
 HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
     ("tracker", "passive"),
     ("tracker", "latched"),

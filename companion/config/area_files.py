@@ -132,7 +132,7 @@ def areas_of_kml(text: str) -> list[NamedArea]:
 
 
 def kml_root(text: str) -> Element:
-    """Return the root element of a KML document; raise `ValueError` if it is none."""
+    """Return the root element of a KML document; raise `ValueError` if it is not KML."""
     if "<!DOCTYPE" in text.upper():
         raise ValueError("a DOCTYPE has no place in KML; save the file again")
     try:

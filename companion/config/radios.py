@@ -114,7 +114,7 @@ _QUOTED = re.compile(r"(['\"]).*\1", re.DOTALL)
 
 
 def _split(text: str) -> tuple[str, list[str], str]:
-    """Return name, KEY=VALUE pieces and URL of `NAME:KEY=VALUE,...@URL`; empty if missing.
+    """Split `NAME:KEY=VALUE,...@URL` into name, KEY=VALUE pieces and URL; missing parts are empty.
 
     Pieces end at a comma outside brackets, the last one at `@`. A value in quotes is literal, and
     ends where its quote is followed by a comma, `@` or the end.

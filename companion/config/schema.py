@@ -74,7 +74,7 @@ class LimitsConfig(Params, frozen=True):
     step_m: ClassVar[float] = 8.0
     """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
     latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
-    """Delay from the measurement of a motion to the setpoint that is obeyed."""
+    """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     navigation_sigma_m: ClassVar[float] = 0.3
     """Standard deviation of the vehicle's position in its local frame, per axis."""
     distance_home_m: Positive | None = None
@@ -233,7 +233,7 @@ class PlannerConfig(Params, frozen=True):
     """The planner in use, and the parameters of each."""
 
     kind: CrossingKind | Literal["survey"] = "latched_crossing"
-    """Flown during contact; `survey`: the pattern goes on whatever is heard."""
+    """Planner during contact; `survey` continues the search pattern regardless of contact."""
     search: PatternKind | None = None
     """Pattern while there is no contact; null: hold. `probability`: lanes where the chance that is
     left is best."""

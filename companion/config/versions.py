@@ -160,7 +160,7 @@ def _drop(raw: dict[str, Any], name: str) -> list[str]:
 
 
 def _pop(raw: dict[str, Any], path: str) -> object:
-    """Take a value out, with the sections that are empty then."""
+    """Remove a value, and the sections that it leaves empty."""
     key, _, rest = path.partition(".")
     if not rest:
         return raw.pop(key)

@@ -28,7 +28,7 @@ class Obstacle:
     name: str
     corners_enu_m: Sequence[tuple[float, float]]
     height_m: float | None
-    """None: higher than any flight."""
+    """Height in m; None: higher than any flight."""
 
     @property
     def label(self) -> str:

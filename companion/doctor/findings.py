@@ -95,7 +95,7 @@ class LinkFacts:
     unproved_frames: int
     """Frames that signing refused; 0 without a key."""
     resident_mb: float | None = None
-    """Memory of this process while it listened, with all that a flight loads."""
+    """Memory of this process while it listened, with everything that a flight loads."""
     processor_pct: float | None = None
     """Load of one core by receiving the streams, in percent."""
 
@@ -123,7 +123,7 @@ class HostFacts:
     are_kernels_compiled: bool
     """True if the kernels were compiled ahead."""
     priority: str | None
-    """Priority that a flight is granted when it is started like this; None: the normal one."""
+    """Priority granted to a flight started in the same way; None: normal priority."""
     logs: PlaceFacts
     state: PlaceFacts
     key_problem: str | None

@@ -1,4 +1,4 @@
-"""Antenna arrays: what they measure of a direction, in axes that turn with the vehicle's attitude.
+"""Antenna arrays: direction components that they measure, in axes that rotate with the vehicle.
 
 Antenna frame: x is the boresight, y points to the right of it, z down; with a zero mount these are
 the body's forward, right and down. A planar array lies in x and y and reports an azimuth in that

@@ -312,7 +312,7 @@ class TrackIntegrity:
         return self.is_lost and has_lasted
 
     def give_up(self, time_s: float, accepted: int) -> None:
-        """Count a discarded track, and clear the evidence against it."""
+        """Count a discarded track, and clear the evidence that led to it."""
         self.restarts += 1
         self._restarts_s.append(time_s)
         self._recovered_at = accepted + 1 + CONTRADICTION_COUNT

@@ -247,7 +247,7 @@ def moved_left(start: Point, end: Point, by_m: float) -> Segment:
 def share_in_capsule(
     start: Point, end: Point, edge: Segment, radius_m: float
 ) -> tuple[float, float] | None:
-    """Return the part of a leg within a radius of an edge, as shares of the leg's line, or None."""
+    """Return the part of a leg within a radius of an edge as shares of the leg, or None."""
     (ae, an), (be, bn) = edge
     length = math.hypot(be - ae, bn - an)
     ue, un = (be - ae) / length, (bn - an) / length

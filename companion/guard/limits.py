@@ -135,7 +135,7 @@ class Stopping:
     """
 
     latency_s: float
-    """Delay from the measurement of a motion to the setpoint that is obeyed."""
+    """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     deceleration_mps2: float
     """Deceleration that the vehicle reaches in any case."""
     navigation_sigma_m: float
@@ -179,8 +179,8 @@ FULL_PCT = 100.0
 class Reserve:
     """Charge needed to come back.
 
-    A `ValueError` begins with the name of the limit: a reserve that is no share of a battery, or a
-    cost that is not positive.
+    A `ValueError` begins with the limit's name: the reserve must be a share of the battery, and the
+    cost positive.
     """
 
     reserve_pct: float

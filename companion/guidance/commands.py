@@ -9,8 +9,8 @@ waypoint to the other.
 
 Gate of all texts for the operator: each cause at most once in a period, within a budget.
 
-Theory of operation. The cause of a text is its words without their numbers, and without the list of
-what it is waiting for. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it
+Theory of operation. The cause of a text is its wording without numbers, and without the list of
+missing inputs. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it
 comes and goes. Texts of one topic are states that replace each other, such as "waiting for ..." and
 "ready"; there the newest withheld state is announced as soon as its cause may be, unless the topic
 has gone back to the announced one. So the last text of a topic is the present state, at the latest

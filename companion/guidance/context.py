@@ -195,7 +195,7 @@ class SessionContext:
         """True if control began or ended since commands were taken last."""
 
     def _search_prior(self) -> SearchPrior | None:
-        """Return what the searched area says about the emitter, in the present local frame."""
+        """Return the searched area's information about the emitter, in the present local frame."""
         return self.searching.prior(self.vehicle.frame)
 
     @property
@@ -321,7 +321,7 @@ class SessionContext:
         return self.states.shown(self.estimate, now_s, self.params.ranging_timeout_s)
 
     def plan_now(self, now_s: float) -> None:
-        """Renew the plan; after an error there is none, and the vehicle will hold."""
+        """Renew the plan; after an error there is no plan, and the vehicle holds."""
         setpoint = self.steering.setpoint_enu_m
         try:
             self.send(*self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate))

@@ -302,7 +302,7 @@ class Watch:
     """Base of all watches; every method does nothing unless a watch overrides it."""
 
     is_idle: bool = False
-    """True while nothing is wrong that `step` could find, whatever the time: it is not called."""
+    """True while `step` cannot find a fault at any time, so that it is not called."""
 
     def handle(self, event: Event) -> None:
         """Apply an event."""

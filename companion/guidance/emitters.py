@@ -163,7 +163,7 @@ class EmitterQueue:
 
     @property
     def _is_open(self) -> bool:
-        """True if further emitters are searched for, whatever was reported."""
+        """True if the search continues for further emitters after a report."""
         return self._searches_on and not self._is_full
 
     @property

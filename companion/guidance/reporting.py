@@ -179,7 +179,7 @@ class Reporting:
         return not is_fresh and context.flight_plan.is_search_due(context.estimate, now_s)
 
     def _end_search(self, now_s: float) -> None:
-        """End a search that is complete, or has no charge left to search with."""
+        """End a search that is complete, or has no charge left to continue."""
         context, searching = self._context, self._context.searching
         if not context.vehicle.mode_watch.may_request_mode(now_s):
             return
@@ -250,7 +250,7 @@ class Reporting:
         return is_next or is_there or now_s - began_s > LEG_S
 
     def _end_early(self, now_s: float) -> None:
-        """End the search with a low battery: report what is known."""
+        """End the search at low battery, and report the emitters known so far."""
         context = self._context
         is_any_known = self._report_known(ENDED_EARLY, now_s)
         if not is_any_known:

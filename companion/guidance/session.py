@@ -59,7 +59,7 @@ class GuidanceStatus:
     estimate: TargetEstimate | None
     """Estimate of the emitter that is searched for now, with the announced state."""
     emitters: tuple[EmitterStatus, ...]
-    """All that were heard or listed."""
+    """Every emitter that was heard or listed."""
     waypoint: Waypoint | None
     setpoint_enu_m: PositionEnu | None
     guard: tuple[str, ...]

@@ -56,7 +56,7 @@ class Moment:
     boot_id: str
     """Boot id of the running kernel; empty if the system does not provide one."""
     boot_s: float
-    """Seconds since it started, suspended ones included; never jumps, ends with the kernel."""
+    """Seconds since the computer's boot, including suspended time; never jumps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +226,7 @@ class CheckpointStore:
                 path.unlink(missing_ok=True)
 
     def close(self, timeout_s: float) -> None:
-        """Write what is queued within `timeout_s`."""
+        """Write everything queued within `timeout_s`."""
         if self.writer is not None:
             self.writer.close(timeout_s)
 

@@ -256,7 +256,7 @@ class WriterThread(Generic[T]):
         return False
 
     def finish(self) -> None:
-        """Ask the thread to write what is queued and end; does not wait, see `close`."""
+        """Ask the thread to write everything queued and end, without waiting; see `close`."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -264,7 +264,7 @@ class WriterThread(Generic[T]):
         self._queue.put(None)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write what is queued within `timeout_s`; return True if all of it was written."""
+        """Write everything queued within `timeout_s`; return True on success."""
         self.finish()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -333,7 +333,7 @@ class BackgroundFile(WriterThread[bytes]):
         logger.warning("%s: the disk is too slow, records are lost", self.path)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write what is queued within `timeout_s`, then close."""
+        """Write everything queued within `timeout_s`, then close."""
         is_written = super().close(timeout_s)
         if not is_written:
             logger.warning("%s: the disk hangs, the end of the log is lost", self.path)

@@ -80,7 +80,7 @@ class BlackBox:
         """Close and remove the log, because the flight never began."""
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued within `timeout_s` in all, and close; losses are reported."""
+        """Write everything queued within `timeout_s`, and close; losses are reported."""
 
 
 class FlightJournal(BlackBox):
@@ -202,7 +202,7 @@ class FlightJournal(BlackBox):
         shutil.rmtree(self.directory, ignore_errors=True)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-        """Write what is queued within `timeout_s` in all, and close; losses are reported."""
+        """Write everything queued within `timeout_s`, and close; losses are reported."""
         deadline_s = time.monotonic() + timeout_s
         for log_file in self._logs:
             log_file.finish()

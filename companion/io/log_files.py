@@ -136,7 +136,7 @@ def _is_proved(data: bytes, start: int) -> bool:
 FAMILY = b"companion inputs "
 FORMAT = FAMILY + b"3"
 UNCHECKED = FAMILY + b"2"
-"""Format of 1.0.0rc1, whose records have no checksum."""
+"""Magic bytes of the 1.0.0rc1 format, whose records have no checksum."""
 MAGIC_WITHIN = 64
 """The first bytes of a file, which name its format in every version."""
 _HEADER = struct.Struct("<IdBBBI")

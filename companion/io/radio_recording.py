@@ -155,7 +155,7 @@ class RadioRecordingWriter:
         self._written_bytes += len(view)
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write the rest and close the file."""
         if not self._file.closed:
             try:
                 self.flush()

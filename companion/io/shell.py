@@ -258,7 +258,7 @@ class Shell:
         return [descriptor for descriptor in found if descriptor is not None]
 
     def _take(self, chunks: list[Chunk]) -> None:
-        """Take what a link has read; the timer hands it over if it is due now."""
+        """Accept the chunks of a link; if the timer is due now, it delivers them."""
         self._arrived += chunks
         timer, loop = self._timer, self._loop
         if timer is None or loop is None or timer.when() - loop.time() > MIN_TIMER_S:
@@ -270,7 +270,7 @@ class Shell:
         self._is_drained = True
 
     def _hand_over(self, now_s: float) -> None:
-        """Pass on what has arrived, in that order and with its time."""
+        """Deliver the chunks in order of arrival, with their times."""
         arrived, self._arrived = self._arrived, []
         if not arrived:
             return

@@ -325,7 +325,7 @@ TEXTS_PER_S = 0.2
 
 
 class AutopilotQueries:
-    """All queries; `fencing` decides whether the autopilot's fence is wanted."""
+    """All queries to the autopilot; `fencing` decides whether to read its fence."""
 
     def __init__(
         self, binding: AutopilotBinding, fencing: Fencing, *, stops_unread: bool = False

@@ -1,4 +1,4 @@
-"""Autopilots that are heard on the vehicle link, of which one is bound.
+"""Autopilots heard on the vehicle link, one of which is bound.
 
 Every HEARTBEAT of an autopilot makes its sender a candidate; stations, gimbals, cameras, companion
 computers and other senders that fly nothing are kept apart, for texts. A candidate that was silent
@@ -44,7 +44,7 @@ class Candidates:
     """Senders of HEARTBEATs that fly nothing, and their MAV_TYPE."""
     known: dict[Ids, Candidate] = field(default_factory=dict)
     ticked_s: float | None = None
-    """Time of the last control tick, before which all that waited in the links was read."""
+    """Time of the last control tick, before which all waiting input was read."""
 
     def take(
         self,

@@ -208,7 +208,7 @@ class CompanionEndpoint:
                 self._journal.record("radio", {"number": number, **radio.record(now_s)}, now_s)
 
     def _announce_link_state(self, now_s: float) -> None:
-        """Announce what is new on the links, and what was withheld and still stands."""
+        """Announce changes on the links, and withheld texts that still apply."""
         signing, links = self.authenticity.texts(now_s), self._alarms.texts(now_s)
         ranging = [
             text

@@ -96,7 +96,7 @@ def exchange_sign_of(message: Message) -> Sign | None:
 
 
 def sign_of(message: Message) -> Sign | None:
-    """Return the evidence in a message; None: it has none, or no valid time."""
+    """Return the evidence in a message; None without evidence or a valid time."""
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None
     place: Place | None = None
@@ -236,14 +236,14 @@ class IdentityCourse:
         self._returns.clear()
 
     def is_of_main(self, sign: Sign, now_s: float) -> bool:
-        """Return True if a sign, of whatever address, continues this course."""
+        """Return True if a sign from any address continues this course."""
         main = self.main
         return main is None or (
             -AHEAD_S <= main.late_s(sign, now_s) <= LATE_S and main.reaches(sign, now_s)
         )
 
     def is_of_clock(self, sign: Sign, now_s: float) -> bool:
-        """Return True if a sign, of whatever address, has the clock of this course and no other."""
+        """Return True if a sign from any address matches the clock of this course only."""
         return self.main is None or abs(self.main.late_s(sign, now_s)) <= JITTER_S
 
     def compare_beginning(

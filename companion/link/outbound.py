@@ -59,7 +59,7 @@ class RequestClient:
 
     def __init__(self) -> None:
         self.pending: _Pending | None = None
-        """Request without an answer yet; None: there is none."""
+        """Unanswered request; None without one."""
 
     def submit(self, kind: RequestKind, command: VehicleCommand, target: Ids) -> None:
         """Start a request with the next call of `due`."""

@@ -51,7 +51,7 @@ AnyMessage = TypeVar("AnyMessage", bound=Message)
 
 
 class Presence:
-    """Periodic reports to ground stations; `has_icon`: with icons on links of their own."""
+    """Periodic reports to ground stations; with `has_icon` also icons on `--gcs` links."""
 
     def __init__(self, session: GuidanceSession, outlet: Outlet, *, has_icon: bool) -> None:
         self._session = session

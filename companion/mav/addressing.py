@@ -60,7 +60,7 @@ class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
 
 _PLAN_IDS = struct.Struct("<III")
 PLAN_IDS_AT = 6
-"""Offset of the plan ids in the payload of MISSION_CURRENT."""
+"""Offset of the plan ids in the payload of MISSION_CURRENT, bytes."""
 
 
 def fence_id_of(frame: bytes) -> int:

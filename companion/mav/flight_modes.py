@@ -145,7 +145,7 @@ def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | No
 
 
 def is_of_component(message: Message) -> bool:
-    """Return True for a HEARTBEAT of a sender that flies nothing, whatever ids it uses."""
+    """Return True for a HEARTBEAT of a sender that flies nothing, whatever its ids."""
     return isinstance(message, mavlink.MAVLink_heartbeat_message) and autopilot_of(message) is None
 
 

@@ -75,7 +75,7 @@ class SignatureVerdict(Enum):
     TOO_FAR_AHEAD = "too far ahead"
     """Signed correctly, but by a clock that is far ahead of ours."""
     TIMESTAMP_OVERFLOW = "timestamp too late"
-    """Signed correctly, but beyond what leaves room for our own frames."""
+    """Signed correctly, but with a timestamp that leaves no room for our own frames."""
     TOO_MANY_STREAMS = "too many streams"
 
     @property
@@ -119,7 +119,7 @@ class SigningPolicy:
     max_ahead: int | None = None
     """Largest lead of a timestamp over our clock, in units of 10 us; None: unlimited."""
     joins_links: bool = False
-    """True: one stream per component, whatever link its frames were signed for."""
+    """True: one stream per component, regardless of the link id of its frames."""
 
 
 AS_THE_GUIDE = SigningPolicy()
@@ -154,7 +154,7 @@ class Signing:
         self.verdicts: dict[SignatureVerdict, int] = dict.fromkeys(SignatureVerdict, 0)
 
     def advance(self, unix_s: float) -> None:
-        """Follow the clock; a clock that is behind, or goes back, has no effect."""
+        """Advance to the clock's time; a clock that is behind, or runs back, has no effect."""
         self.clock = max(self.clock, timestamp_at(unix_s))
         self.timestamp = max(self.timestamp, self.clock)
 

@@ -208,7 +208,7 @@ def worst_variances_m2(
 
 @kernel
 def is_in_view(mean: Vector, poses: Matrix, view: FieldOfView, model: RangingModel) -> Any:
-    """Return which of the poses, (n,), see the target: a line or two axes see the cone behind."""
+    """Return a mask (n,) of the poses that see the target; arcsine antennas see behind, too."""
     sight = sight_of(mean, poses, model)
     if model.antenna == PLANAR:
         x, y = cosines(sight, mean, poses)

@@ -94,7 +94,7 @@ class SearchMemory:
 
 
 class SearchPlanner:
-    """Planner that repeats a pattern, whatever the estimate."""
+    """Planner that repeats a pattern regardless of the estimate."""
 
     search_after_s: float | None = 0.0
 
@@ -192,7 +192,7 @@ class LawnmowerParams(SearchParams, frozen=True):
             raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
-        """Return the lanes, across those of the sweep before; none without area and fence."""
+        """Return the lanes, perpendicular to the previous sweep's; none without area and fence."""
         del datum_enu_m
         spaces = _spaces(request)
         if self.area_enu_m is not None:

@@ -164,7 +164,7 @@ class ProbabilityPlanner(SearchPlanner):
         return self._following(request, memory)
 
     def _chosen(self, request: PlanRequest, memory: ProbabilityMemory) -> ProbabilityMemory:
-        """Return the memory on the first leg of the chosen candidate."""
+        """Return the memory at the first leg of the chosen candidate."""
         decision = memory.decision
         chosen = None if decision is None else decision.chosen
         if decision is None or chosen is None:
@@ -184,7 +184,7 @@ class ProbabilityPlanner(SearchPlanner):
         return self._deciding(request, _on_track(memory, track, 0, ""))
 
     def _deciding(self, request: PlanRequest, memory: ProbabilityMemory) -> ProbabilityMemory:
-        """Return the memory with the decision begun about what follows the present leg."""
+        """Return the memory with a pending decision about the next leg."""
         if request.outlook is None:
             return replace(memory, decision=None)
         leg, vehicle = memory.leg, request.vehicle_enu_m

@@ -95,7 +95,7 @@ class BearingFit:
 
     sense: BearingSense
     mount_rad: Figure
-    """Boresight clockwise from the nose; what is constant in the compass is in it."""
+    """Boresight clockwise from the nose, including the constant error of the compass."""
     lag_s: Figure | None
     sigma_rad: Figure
     """About sign and mount; of a folded one of the direction cosine, so at boresight."""

@@ -26,7 +26,7 @@ from companion.radios.decoder import BUILT_IN, FrameDecoder, Poll, RadioDecoder,
 
 LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
-"""Those of the built-in radios and of what their makers offer beside, the usual one first."""
+"""Baud rates of the built-in radios and of their variants, the usual one first."""
 FEWEST = 2
 """Readings: a single one may be chance, and slow radios give one or two in the time."""
 HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
@@ -35,7 +35,7 @@ fast."""
 ASKED_SHARE = 1.0
 """Share of the time for each radio that is polled."""
 PLAYED = "?play=10"
-"""Speed at which a file is played that may be a log: a hundred lines a second."""
+"""URL option that plays a file that may be a log at a hundred lines a second."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """This many bytes with this share of non-text and no reading mean another speed."""
 FEWEST_POWERS = 3
@@ -52,7 +52,7 @@ OPTIONS: Mapping[str, Mapping[str, object]] = {
     "android_rtt": {"unit": "mm", "single_emitter": True},
     "rssi": {"single_emitter": True},
 }
-"""Options with which a format's stream has readings, whatever its cell or app is."""
+"""Options with which any stream of a format yields readings."""
 
 
 @dataclass(slots=True)
@@ -173,7 +173,7 @@ class Ear(OneShotEndpoint):
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way to listen: as which radio, at which address, for how long."""
+    """One attempt to listen: radio, address and duration."""
 
     radio: str
     url: str
@@ -243,7 +243,7 @@ def listen(attempt: Attempt, listener: Listener) -> None:
 def identify(
     url: str, seconds: float = LISTEN_S, hear: Listen = listen, clock: Clocked = time.monotonic
 ) -> tuple[int, str]:
-    """Return the exit code and the report: the radio and its command, or what was received."""
+    """Return the exit code and the report: the radio and its command, or the data received."""
     heard, problem = 0, ""
     for attempt in timed(attempts(url), seconds, clock):
         listener = Listener()

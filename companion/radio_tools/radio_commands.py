@@ -251,7 +251,7 @@ def _print_lines(lines: list[str]) -> None:
 
 
 def _redraw(lines: list[str]) -> None:
-    """Print lines from the top of the terminal, and clear what is below."""
+    """Print lines from the top of the terminal, and clear the rest."""
     print("\x1b[H\x1b[J" + "\n".join(lines), flush=True)
 
 

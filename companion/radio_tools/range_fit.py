@@ -41,7 +41,7 @@ K_PLACE = 2.5
 """Threshold for whole places; they are few, and the smaller one would pull their mean down."""
 NLOS_SIGMAS = 3.0
 PLACE_M = 3.0
-"""Radius of what counts as one place."""
+"""Radius within which measurements count as taken at one place."""
 REGION_M = 20.0
 """Radius within which places may share reflections; it widens intervals only."""
 LEAST_REGIONS = 6

@@ -76,7 +76,7 @@ class _OnTheWay:
 
     errors_m: Vector
     closing_mps: Vector
-    """Negative, as a lag shows."""
+    """Negated closing speed, m/s: the range error per second of lag."""
     weights: Vector
     place_m: Matrix
     labels: Labels

@@ -152,7 +152,7 @@ class SrsRanDecoder(_Cell):
         return b'{"cmd":"metrics_subscribe"}\n'
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return the readings of a document of metrics, or of a line of the log."""
+        """Return the readings of a metrics document or a log line."""
         if self._RACH.search(line):
             return self._attaches(line)
         start = line.find("{")
@@ -303,7 +303,7 @@ _DEFAULTS: Mapping[str, object] = {
     "zero": "accept",
     "range_min_m": -2.0 * LTE_STEP_S * ONE_WAY_M_PER_S,
 }
-"""No step is a range, and a phone's own delay may be a step less than the calibrated one's."""
+"""Step 0 is a valid range, and a phone's delay may be a step below that of the calibrated one."""
 SRSRAN_4G = RadioKind(
     name="srsran_4g",
     decoder=SrsRan4gDecoder,

@@ -110,7 +110,7 @@ class DecoderCounts:
     unrecognised: int = 0
     """Lines that are none of the format's; blank ones do not count."""
     first_unrecognised: str = ""
-    """The first of them, cut off and printable."""
+    """First unrecognised line, truncated and printable."""
     is_introduced: bool = False
     """True once the module has named itself, in answer to the kind's probe."""
 

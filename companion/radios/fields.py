@@ -269,7 +269,7 @@ def _unit_in(name: str) -> str:
 
 
 def _complain_of_before(found: re.Match[str], name: str) -> str | None:
-    """Return the error by what stands before a number."""
+    """Return the error indicated by the characters before a number."""
     before, unit = found.string[: found.start(name)], _unit_in(name)
     if _SIGN_BEFORE.search(before) and found[name][0] not in "+-":
         return "leaves out the sign before it"
@@ -308,7 +308,7 @@ def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
 
 
 def _unit_of(behind: re.Match[str] | None) -> str | None:
-    """Return the unit behind a number; None if there is no word, or one that is none.
+    """Return the unit after a number; None without a word, or if the word is not a unit.
 
     A word that touches the number, or in other letters, is taken for a unit that is not known.
     """

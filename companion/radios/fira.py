@@ -223,7 +223,7 @@ SR150 = RadioKind(
 PROMPT = re.compile(r"^(?:dwm> ?)+")
 NUMBER = r"-?[0-9]{1,7}(?:\.[0-9]{1,4})?"
 WHERE = rf"(?:{NUMBER}|-?nan|-?inf)"
-"""A coordinate; a tag without a position prints nan, and its ranges are good."""
+"""Pattern of a coordinate; a tag without a position prints nan, but its ranges are valid."""
 ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{WHERE},{WHERE},{WHERE},({NUMBER})", re.I)
 PLACE = re.compile(rf",POS(?:,{WHERE}){{3}},[0-9]{{1,3}}", re.I)
 DISTANCES = re.compile(r"DIST,([0-9]{1,2})(,.*)?$")

@@ -29,7 +29,7 @@ POWERS = 360
 """Fields after those: the power seen in each degree."""
 BEST_CONFIDENCE = 99.0
 OLD_CONFIDENCE = 2.0
-"""The most that firmware of 2022 and 2023 reports."""
+"""Largest confidence that firmware of 2022 and 2023 reports."""
 FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
 """Range of a clock that has been set: 2001 to 2286."""
 LONGEST_CPI_MS = 60_000.0
@@ -38,7 +38,7 @@ AWAY_MS = 10_000.0
 STILL_S = 5.0
 """A page that does not change for this long is reported; it is read more often than it changes."""
 LEAST_HZ = 1e6
-"""The receivers begin at 24 MHz; what is less was printed in another unit."""
+"""Least plausible frequency: receivers begin at 24 MHz, so a smaller number has another unit."""
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 HEADINGS = {"GPS", "Compass"}

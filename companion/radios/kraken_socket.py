@@ -38,7 +38,7 @@ BAND_HEAD = struct.Struct("<IIIfffII")
 """Type, channels, decimation, centre in MHz, gain, averaging, marker, bins."""
 BAND_BIN_BYTES = 6
 FIRST_WIDE_MARKER = 0xFE
-"""Least marker of a picture of several tuners, whose centre is none of them."""
+"""Smallest marker of a spectrum of several tuners, whose centre belongs to none of them."""
 AUDIO_HEAD = struct.Struct("<IIfI")
 CHANNEL = struct.Struct("<IfIIfIf")
 """Id, offset in kHz, bandwidth, angles, radius, blocks, degrees an angle."""

@@ -40,7 +40,7 @@ class LineForm:
     """One form of a radio's lines."""
 
     pattern: re.Pattern[str]
-    """Searched for; each match is a reading. Without groups it measures nothing that is needed."""
+    """Regular expression, each match of which is a reading; it needs named groups."""
     refused: str = ""
     """Reason why such a line cannot be used; empty: it can."""
 
@@ -97,7 +97,7 @@ class TagOptions(Params, frozen=True):
     """Selects the tag that a module ranges to."""
 
     tag: str = ""
-    """Address of up to 8 characters; empty: nothing is asked, and only what comes is read."""
+    """Address of up to 8 characters; empty: only unrequested output is read."""
 
 
 class Ryuw122Decoder(FormDecoder):

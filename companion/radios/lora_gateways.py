@@ -229,7 +229,7 @@ MOST_SIGMA_RAD = math.pi / math.sqrt(3.0) + 1e-6
 UNITS = re.compile(
     r'"(?:\w{0,20}units?|units?_\w{0,20}|uom)"\s*:\s*(?:"(?!(?:m|rad|us|dBm)?")|\{)', re.IGNORECASE
 )
-"""Key that names a unit which is none of RADIO_RANGING's."""
+"""Key that names a unit not used by RADIO_RANGING."""
 IDENTITY = re.compile(
     r'"((?:anchor|tag|beacon|node|device|emitter|peer|responder)(?:_?(?:id|name))?|id|uid|bssid'
     r'|mac(?:_?addr(?:ess)?)?|addr(?:ess)?|dev_?(?:eui|addr))"\s*:',
@@ -276,7 +276,7 @@ FOREIGN = {
     "range_mm": "range",
     "elevation_deg": "elevation",
 }
-"""Keys of other formats by what they stand for here; the line's other keys are in other units."""
+"""Keys of other formats by the key that they correspond to here, with other units."""
 STRANGE_SHARE = 20
 """Angles are refused until so many good lines came for each angle beyond a turn: one torn digit
 does not end a stream, degrees do."""

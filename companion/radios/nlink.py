@@ -60,7 +60,7 @@ class Layout:
     header: int
     """Bytes before the repeated element."""
     element: Struct | None = None
-    """None: no ranges in it, skipped."""
+    """Record of one node; None: the frame has no ranges and is skipped."""
     element_bytes: int = 0
     """0: they vary, and only the length is known."""
     time_at: int = 0

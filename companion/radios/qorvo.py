@@ -142,9 +142,9 @@ class QorvoCliDecoder(FieldDecoder):
         return self._measured(int(address, 16), values)
 
     def _measured(self, address: int, values: dict[str, str]) -> RadioReading | None:
-        """Return a measurement.
+        """Return the measurement of a record.
 
-        Absent values were not measured, and malformed ones mean a torn record.
+        Absent values were not measured; malformed ones mean that the record is incomplete.
         """
         there = {key: number(values[key]) for key in MEASURED_KEYS if key in values}
         distance_cm, azimuth_deg, elevation_deg = map(there.get, MEASURED_KEYS)
@@ -196,7 +196,7 @@ FRAME = msgspec.json.Decoder(JsFrame)
 
 
 class PdoaJsDecoder(FieldDecoder):
-    """Decoder of `JS`, the length of what follows in four hexadecimal digits, and JSON."""
+    """Decoder of frames of `JS`, a length in four hexadecimal digits, and JSON."""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the measurements of all frames in a line: a torn one has no end of its own."""

@@ -120,7 +120,7 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
 
 
 END_S = 10.0
-"""Time after the last record at which all waiting measurements are due."""
+"""Time after the last record by which every waiting measurement is due."""
 
 
 class _Target:

@@ -92,7 +92,7 @@ class TargetResult:
 
     @property
     def error_m(self) -> float | None:
-        """Distance of the estimate from the truth, where the file has it."""
+        """Distance of the estimate from the truth, if the file contains it."""
         if self.estimate is None or self.truth_enu_m is None:
             return None
         return math.dist(self.estimate.position_enu_m, self.truth_enu_m)

@@ -123,7 +123,7 @@ class FlightSummary:
     """The last origin of the local frame."""
     waypoints_enu_m: list[Point] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
-    """Those of `SUMMARY_KINDS`."""
+    """Events whose kind is in `SUMMARY_KINDS`."""
     fence: Polygons | None = None
     """The guard's last fence, and its keep-outs, local east and north."""
     guard: Counter[str] = field(default_factory=Counter)

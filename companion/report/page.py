@@ -105,7 +105,7 @@ class FlightPage:
     map: Markup
     map_note: str
     charts: Sequence[Chart | None]
-    """Those that are None are left out."""
+    """Charts of the page; None entries are omitted."""
     events: Sequence[EventRow]
     """Events in the order of time; the first `MAX_EVENTS` are shown."""
     footer: str
@@ -199,7 +199,7 @@ def _map_note(layers: MapLayers) -> str:
 
 
 def verdict_of(summary: FlightSummary) -> str:
-    """Return the result of the flight in one phrase."""
+    """Return the flight's result as a phrase."""
     if summary.results:
         radii_m = [(result.get("r95_m"), result) for result in summary.results]
         texts = [

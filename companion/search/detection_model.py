@@ -134,7 +134,7 @@ class DetectionModel(DetectionParams, frozen=True):
 
     @property
     def cell_sigma_db(self) -> float:
-        """Standard deviation of what stays with a cell: error of the reach, shared shadowing."""
+        """Standard deviation of a cell's constant errors: reach and shared shadowing, dB."""
         return math.hypot(
             self.reach_sigma_db, math.sqrt(SHARED_VARIANCE) * self.propagation.shadowing_db
         )

@@ -115,7 +115,7 @@ class Outlook:
     chance: Floats32
     """(cells, groups) probability that the emitter is there and was missed; the sum is 1 - POS."""
     visited: frozenset[Square]
-    """Squares of the shadowing's correlation length that were listened from."""
+    """Squares of the shadowing's correlation length that the radio has listened from."""
 
     @property
     def is_even(self) -> bool:
@@ -175,7 +175,7 @@ def _new_pieces(
 
 
 def outlook_of(area: SearchedArea) -> Outlook:
-    """Return what a search has left, as of the last renewal of its probabilities."""
+    """Return the remaining probability, as of its last renewal."""
     chance = area.missed * area.grid.poa[:, None].astype(np.float32)
     grid, chance = _coarse(area.grid, chance)
     return Outlook(grid, chance, frozenset(area.squares))

@@ -105,12 +105,12 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
 
 
 def grid_of_weights(west_m: float, south_m: float, cell_m: float, weights: Floats) -> SearchGrid:
-    """Return the grid of a raster of weights, (rows, columns) from the south-west.
+    """Return the search grid of weights (rows, columns), rows counted from the south-west corner.
 
-    Cells without a weight, or with one that is not finite, are outside of the area.
+    Cells with a missing or infinite weight are outside the area.
 
     Raises:
-        ValueError: there is no weight, or there are more than `MOST_CELLS`.
+        ValueError: The grid has no weight, or more than `MOST_CELLS` cells.
     """
     if weights.size > MOST_CELLS:
         raise ValueError(f"{weights.size} cells; at most {MOST_CELLS}: make cells larger")

@@ -60,7 +60,7 @@ Floats32 = NDArray[np.float32]
 HEIGHT_STEP_M = 5.0
 """Looks from heights that differ by less are one; at 20 m that is 2 dB straight below."""
 LISTENED_AGAIN_S = 5.0
-"""A place that is listened from without a pause counts what it has so far this often."""
+"""Period at which a place that is listened from continuously counts its looks."""
 
 ALL_CELLS = slice(None)
 BLOCK = 5_000
@@ -142,7 +142,7 @@ class SearchedArea:
         self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
         """(cells, offsets) of the place that is listened from."""
         self.missed: Floats32 = np.tile(GROUP_MATRIX.sum(axis=0), (cells, 1))
-        """(cells, groups) probability of an offset in a group and a miss, of the last renewal."""
+        """(cells, groups) probability of offset group and miss at the last renewal."""
         self._renewing = np.empty_like(self.missed)
         self._renewed_cells = 0
         self._places: dict[Square, _Place] = {}
@@ -187,13 +187,13 @@ class SearchedArea:
 
     @property
     def looks(self) -> list[Look]:
-        """All looks so far, of what was listened for from one point as one."""
+        """All looks so far; those from one point count as one."""
         looks = [look for place in self._places.values() for look in place.looks.values()]
         return looks if self._pending is None else [*looks, self._pending]
 
     @property
     def squares(self) -> Iterable[Square]:
-        """Squares of the shadowing's correlation length that were listened from."""
+        """Squares of the shadowing's correlation length that the radio has listened from."""
         return self._places.keys()
 
     @property
@@ -202,7 +202,7 @@ class SearchedArea:
         return bool(self._work)
 
     def advance(self) -> bool:
-        """Do one piece of the work that waits; False: there is none."""
+        """Do one piece of pending work; return False without any."""
         if not self._work:
             return False
         piece = self._work.popleft()
@@ -223,7 +223,7 @@ class SearchedArea:
         return True
 
     def finish(self) -> None:
-        """Do all the work that waits, count in what was listened for until now, and renew."""
+        """Do all pending work, include the looks until now, and renew."""
         self._commit_pending()
         while self.advance():
             pass

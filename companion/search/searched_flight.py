@@ -60,7 +60,7 @@ def _is_around(outside: Corners, hole: Corners, grid: SearchGrid, outsides: list
 
 
 def _rings(image: Bools) -> Iterator[list[Node]]:
-    """Closed ways along sides, what is wanted on their left; where two meet, they stay apart."""
+    """Closed outlines with the wanted cells on their left; where two touch, they stay separate."""
     padded = np.pad(image, 1)
     leaving: dict[Node, list[int]] = {}
 
@@ -212,7 +212,7 @@ class SearchAreaParams(Params, frozen=True):
 
 
 class StoredGrid(msgspec.Struct, frozen=True):
-    """A search grid as JSON has it."""
+    """Search grid in the form of JSON."""
 
     west_m: float
     south_m: float
@@ -248,7 +248,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     listened_s: float
     """Time in the air with a position, while an emitter was sought."""
     contact_unix_s: float | None = None
-    """First measurement that was accepted."""
+    """Unix time of the first accepted measurement."""
     reported: tuple[int, ...] = ()
     """Emitters with a report, by id."""
     heard: tuple[int, ...] = ()
@@ -270,7 +270,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
-    """Return what flights have searched together, over the grid of the first one.
+    """Return the combined coverage of flights, on the grid of the first one.
 
     None: nothing can be stated, because it has no grid or model. Flights of other origins are moved
     by the difference of the origins. What a contact showed of the reach holds for all flights that
@@ -321,7 +321,7 @@ def statement(flight: SearchedFlight, state: SearchState | None) -> str:
 
 
 def _heard(flight: SearchedFlight) -> str:
-    """Return what was heard, and of which emitters nothing was."""
+    """Return the emitters that were heard, and those that were not."""
     if flight.contact_unix_s is None and not flight.reported:
         return "Nothing heard."
     if flight.sought is None:

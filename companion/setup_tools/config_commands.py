@@ -249,7 +249,7 @@ def run_tiles(arguments: argparse.Namespace) -> int:
 
 
 def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, int, int]]:
-    """Return zoom, x and y of every tile that a square about a place touches."""
+    """Return zoom, x and y of every tile that a square around a point touches."""
     try:
         latitude_deg, longitude_deg = map(float, around.split(","))
     except ValueError:
@@ -300,7 +300,7 @@ def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]
 
 
 def _stored(tiles: Iterable[Tile], folder: Path) -> int:
-    """Write tiles as `z/x/y.png`, whatever their kind of picture; return their number."""
+    """Write tiles as `z/x/y.png` regardless of their image format; return their number."""
     count = 0
     for tile in tiles:
         if not tile.picture.startswith(SIGNATURES):

@@ -247,7 +247,7 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
 def _finish(
     arguments: argparse.Namespace, choices: Choices, link: Transport, directory: Path
 ) -> int:
-    """Compile, examine and advise; the files stay written whatever the result."""
+    """Compile, examine and advise; the written files stay regardless of the result."""
     config = load_config(directory / CONFIG)
     try:
         if not arguments.no_warm_up and kernel_cache.can_compile():

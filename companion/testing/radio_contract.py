@@ -119,7 +119,7 @@ def fault_of(readings: object) -> str | None:
 
 
 def kept_bytes(decoder: RadioDecoder) -> int:
-    """Return the memory of a decoder, with all that it refers to but code and its options."""
+    """Return the memory of a decoder and all its references, without code and options."""
     total, seen, waiting = 0, {id(decoder.options)}, list(_parts(decoder))
     while waiting:
         part = waiting.pop()

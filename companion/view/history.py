@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 class HistoryPart(NamedTuple, Generic[T]):
-    """Part of a history that a reader lacks."""
+    """Part of a history that a reader has not received yet."""
 
     items: list[T]
     is_whole: bool
@@ -171,12 +171,12 @@ class CurveHistory(History[dict[str, object]]):
 FASTEST = 1
 """Level of zlib."""
 CELL = np.dtype("<f2")
-"""Half precision keeps three digits, which is what is shown."""
+"""Half precision keeps three digits, as many as are shown."""
 
 
 @dataclass(frozen=True, slots=True)
 class PackedState:
-    """A state of the search as one short line of JSON has it."""
+    """State of the search as one compact line of JSON."""
 
     west_m: float
     south_m: float
@@ -207,7 +207,7 @@ class PackedState:
 
 
 class SearchedHistory(History[PackedState]):
-    """The latest state of the search; its version changes only with what is shown."""
+    """Latest state of the search; its version changes only if the display changes."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -357,7 +357,7 @@ class WebView(Collector):
             endpoint.handle_event(OperatorCommandReceived(now_s, command))
 
     def show(self, endpoint: CompanionEndpoint, now_s: float, clock_s: float) -> None:
-        """Show a past moment, whatever buttons are pressed."""
+        """Show a past moment regardless of the buttons."""
         self.process.update(clock_s, lambda: self._picture(endpoint, now_s))
 
     def close(self) -> None:

@@ -284,7 +284,7 @@ class Aircraft:
     def up_from(self, altitude_m: float, frame: int) -> float | None:
         """Return the height in the world's frame of an altitude in a MAV_FRAME.
 
-        None if not one of ours.
+        None if it is not one of ours.
         """
         if frame in AMSL_FRAMES:
             return altitude_m - self.estimator.world_origin.altitude_m

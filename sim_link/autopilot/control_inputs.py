@@ -203,7 +203,7 @@ class StickInput:
         return self._joystick_s is not None and now_s - self._joystick_s < self.joystick_timeout_s
 
     def pulses(self, now_s: float) -> Sticks | None:
-        """Return what RC_CHANNELS reports: the sticks, or the failsafe position of a receiver."""
+        """Return the values of RC_CHANNELS: the sticks, or a receiver's failsafe position."""
         held = self.read(now_s)
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
@@ -234,7 +234,7 @@ AXIS_BITS = (
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """Target that the autopilot reports as the one it follows."""
+    """Target that the autopilot reports following."""
 
     place_enu_m: Axes = NOTHING
     """Position in the world's frame."""

@@ -130,7 +130,7 @@ class SimEndpoint:
         )
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Process bytes; whatever is no MAVLink, or not for us, is ignored."""
+        """Process bytes; anything that is not MAVLink, or not for us, is ignored."""
         if now_s < self._started_s:
             return
         if now_s < self._stalled_until_s:
@@ -150,7 +150,7 @@ class SimEndpoint:
                 self._reboot(now_s, 0.0)
 
     def apply_incident(self, incident: IncidentRecord, now_s: float) -> None:
-        """Apply an incident to the vehicle now, whatever its `start_s` says."""
+        """Apply an incident to the vehicle now, regardless of its `start_s`."""
         if isinstance(incident, VehicleReboot):
             self._reboot(now_s, incident.down_s)
         elif isinstance(incident, AutopilotStall):

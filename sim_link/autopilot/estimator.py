@@ -51,7 +51,7 @@ class FixChange(Params, frozen=True):
 
 
 class NavigationParams(Params, frozen=True):
-    """The errors of the vehicle's position and heading; by default none, as with RTK."""
+    """Errors of the vehicle's position and heading; by default none, as with RTK."""
 
     fix: FixName = "rtk_fixed"
     sigma_m: NonNegative = 0.0
@@ -235,7 +235,7 @@ class Estimator:
 
     @property
     def _shift_enu_m(self) -> PositionEnu:
-        """Estimate minus what the vehicle steers by."""
+        """Estimate minus the state that the vehicle steers by."""
         jumped, drift = self._jumped, self._drift
         return (jumped[0] + drift[0], jumped[1] + drift[1], jumped[2] + drift[2])
 

@@ -54,7 +54,7 @@ FORCE_ARMING = 21196
 """Magic number of MAV_CMD_COMPONENT_ARM_DISARM's second parameter."""
 
 Handler = Callable[[Any, Command, float], int]
-"""Does what a command asks of a flavour at a time; a MAV_RESULT, or `UNANSWERED`."""
+"""Executes a flavour's command at a time; returns a MAV_RESULT or `UNANSWERED`."""
 
 
 def is_place(place: tuple[int, int]) -> bool:
@@ -156,7 +156,7 @@ class Firmware(NamedTuple):
     """1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
     answers_for_others: bool
-    """Obeys what is for a component of its system that was never heard, and answers as itself."""
+    """Obeys commands to components of its system that were never heard, and answers as itself."""
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
     gives_plan_ids: bool = False
@@ -339,7 +339,7 @@ class AutopilotFlavour(ABC):
         return result
 
     def settle(self, now_s: float, why: str = "") -> None:
-        """Give the pilot a changed task and note what changed; called after every change."""
+        """Give the pilot a changed task and note the change; called after every change."""
         mode, is_armed, task = seen = (self.mode, self.is_armed, self.task)
         if seen == self._seen:
             return

@@ -1,4 +1,4 @@
-"""Flying an uploaded mission: which item is current, what it asks for, and when it is done.
+"""Execution of an uploaded mission: the current item, its task, and its completion.
 
 Commands that do nothing here (cameras, gimbals, servos) count as done at once.
 
@@ -102,7 +102,7 @@ class MissionRun:
             self.state = MissionState.ACTIVE
 
     def finish_leg(self) -> None:
-        """Finish the current item, whatever it is."""
+        """Finish the current item."""
         self._done()
         if self.current >= len(self.items):
             self._complete()

@@ -147,7 +147,7 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
 
 
 def gps2_raw(vehicle: SimVehicle) -> Fields | None:
-    """Return the second receiver, which sees what the first one does.
+    """Return the second receiver, which sees the same satellites as the first one.
 
     None where it is not fitted.
     """

@@ -274,7 +274,7 @@ class RadioPayload:
 
 
 def reject_command(message: Message, system_id: int) -> Message | None:
-    """Return the ACK of a command for the payload, which knows none; None if it is none for it.
+    """Return the ACK of a command to the payload, which supports none; None for other messages.
 
     Source: MAVLink developer guide, "Command Protocol": every command is acknowledged.
     """

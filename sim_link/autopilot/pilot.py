@@ -36,7 +36,7 @@ STEP_S = 0.02
 
 
 class Task(Enum):
-    """Task of the pilot, whatever mode it belongs to."""
+    """Task of the pilot, independent of the mode."""
 
     STAY = "stay"
     """Stays at the hold point, which a command may move."""

@@ -55,7 +55,7 @@ class OriginParams(Params, frozen=True):
 
 
 class AutopilotParams(Params, frozen=True):
-    """Simulated autopilot; clients may set what is a default of its own parameters."""
+    """Simulated autopilot; clients may change values that are defaults of its parameters."""
 
     flavour: FlavourName = "px4"
     vehicle_type: VehicleTypeName = "quadrotor"

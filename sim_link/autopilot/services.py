@@ -1,4 +1,4 @@
-"""The MAVLink services of one vehicle: from a received message to what is answered.
+"""MAVLink services of one vehicle: from a received message to its answers.
 
 Theory of operation. Every service is a small state machine of `protocols`, which knows nothing of
 physics; this joins them to the vehicle. A message that is addressed elsewhere never gets here past
@@ -80,7 +80,7 @@ def reject_unsupported_service(message: Message, partner: Partner) -> list[Outgo
 
 
 def _no_such_file(request: bytes, partner: Partner) -> Message | None:
-    """Return the NAK of an FTP request; None for what is a reply itself."""
+    """Return the NAK of an FTP request; None for a reply."""
     opcode = request[3]
     if opcode >= FTP_ACK:
         return None

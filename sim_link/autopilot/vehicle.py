@@ -67,7 +67,7 @@ class SimVehicle:
     """One multicopter with its autopilot; arguments as of `Aircraft`.
 
     Raises:
-        ConfigError: The scenario sets a parameter that does not exist, or to what may not be.
+        ConfigError: The scenario sets an unknown parameter, or a value out of range.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class FlightRecorder:
         self._fresh: list[Occurrence] = []
 
     def take(self, vehicle: SimVehicle) -> None:
-        """Take over what happened up to the vehicle's present step."""
+        """Take over the events up to the vehicle's present step."""
         if vehicle.time_s + 0.5 * STEP_S >= self._track_due_s:
             self.track.append((vehicle.time_s, *vehicle.body.position_enu_m))
             if len(self.track) > MAX_TRACK_POINTS:

@@ -167,7 +167,7 @@ def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
 
 
 class KrakenXml(Kraken):
-    """The same, in the document of one receiver: that of the first emitter."""
+    """Bearings of the first emitter in the XML document of one receiver."""
 
     name = "kraken_xml"
     title = "KrakenSDR, doa.xml"
@@ -227,7 +227,7 @@ class Uudf(LineEmulator):
 def turned_rad(answer: Answer) -> float:
     """Return the azimuth about the board's upright.
 
-    Of two arcsines what they leave for the third.
+    The third direction component follows from the two arcsines.
     """
     azimuth_rad, heard = answer.azimuth_rad or 0.0, answer.heard
     if heard is None or not heard.is_array_angle:

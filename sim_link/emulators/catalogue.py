@@ -60,7 +60,7 @@ KINDS: tuple[type[Emulator], ...] = (
     printed_lines.Lines,
 )
 OWN_STREAM = 45_010
-"""Beside a seed: what a radio makes up is not drawn from what measures."""
+"""Seed offset that keeps a radio's invented values apart from its measurement noise."""
 EMULATORS = {kind.name: kind for kind in KINDS}
 
 

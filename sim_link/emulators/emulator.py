@@ -157,7 +157,7 @@ class Emulator(ABC):
         return round(1e3 * self.device_s(sent_at_s))
 
     def next_number(self, modulus: int = U32) -> int:
-        """Return the round's number, which wraps to 0."""
+        """Return the number of the round, which wraps to 0."""
         self._count = (self._count + 1) % modulus
         return self._count
 
@@ -179,7 +179,7 @@ class LineEmulator(Emulator):
 
 
 def lines(texts: Sequence[str]) -> bytes:
-    """Return text as a serial port carries it."""
+    """Return text as bytes with the line endings of a serial port."""
     return "".join(text + LINE_END for text in texts).encode("ascii")
 
 

@@ -48,7 +48,7 @@ class Peer:
 
     @property
     def powers(self) -> bytes:
-        """Powers of the first path and of all that is received, dBm."""
+        """Powers of the first path and of the whole signal, dBm."""
         return bytes(clamped(-2.0 * dbm, 0, 255) for dbm in (self.fp_dbm, self.rx_dbm))
 
 
@@ -83,7 +83,7 @@ class NodeState:
     place_m: PositionEnu = (0.0, 0.0, 0.0)
     velocity_mps: PositionEnu = (0.0, 0.0, 0.0)
     inertial: bytes = bytes(71)
-    """Gyroscope, accelerometer and what follows from them, as they stand there."""
+    """Gyroscope, accelerometer and derived fields in their order of the frame."""
     reserved: bytes = bytes(10)
 
 

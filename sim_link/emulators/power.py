@@ -291,7 +291,7 @@ def crnti_of(emitter_id: int) -> int:
 
 
 class Srsran(Emulator):
-    """An NR cell whose timing advance loop is off, so that what is left over is all of it."""
+    """NR cell whose timing advance loop is off, so that the remainder is the whole advance."""
 
     name = "srsran"
     title = "srsRAN Project, metrics of the remote control"

@@ -28,7 +28,7 @@ RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
 
 
 def ranging_object(answer: Answer, time_usec: int) -> dict[str, object]:
-    """Return RADIO_RANGING as JSON: what is unknown is left out."""
+    """Return RADIO_RANGING as JSON without unknown values."""
     heard = answer.heard
     assert heard is not None
     bearing_rad = heard.bearing_body_rad

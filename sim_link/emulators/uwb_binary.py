@@ -215,7 +215,7 @@ def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnch
 
 
 class PansTlv(Emulator):
-    """A DWM1001 tag: it says nothing by itself, and to who asks what it measured last."""
+    """DWM1001 tag that sends its last measurement only on request."""
 
     name = "pans_tlv"
     title = "Decawave DWM1001 PANS, TLV"

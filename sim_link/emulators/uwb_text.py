@@ -302,7 +302,7 @@ class Ryuw122(AskedModule):
     VERSION = "+VER=RYUW122_V1.0.21"
 
     def answer(self, command: str) -> list[str]:
-        """Return `+OK` at once; what the tag sent back, and the distance, once it has answered."""
+        """Return `+OK` at once; the tag's payload and the distance once it has answered."""
         if command == "AT+VER?":
             return [self.VERSION, "+OK"]
         if not command.startswith("AT+ANCHOR_SEND="):

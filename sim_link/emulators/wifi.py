@@ -27,7 +27,7 @@ FRAMES = 31
 """Valid frames of 32 requested, the most possible."""
 UNUSED_SIGMA_M = 0.5
 SIMULATION_BEGAN_S = 1_718_000_000.0
-"""The Unix time of a phone or a Pi at its start, where a format has one."""
+"""Unix time at the start of the simulation, for formats with wall-clock time."""
 
 
 def round_trip_s(range_m: float) -> float:
@@ -139,7 +139,7 @@ def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) 
 
 
 class FtmCsv(LineEmulator):
-    """GTEC's tag firmware: a row for each anchor that answered, nothing for others."""
+    """GTEC's tag firmware: one row for each anchor that answered."""
 
     name = "ftm_csv"
     title = "ESP32 Wi-Fi FTM, rows of GTEC's esp32s2-ftm-tag"

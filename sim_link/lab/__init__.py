@@ -1,1 +1,1 @@
-"""The laboratory: what flies, disturbs, judges and measures companion and simulator."""
+"""Laboratory that flies, disturbs, judges and measures companion and simulator."""

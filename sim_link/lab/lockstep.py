@@ -163,7 +163,7 @@ class Flight:
         self.now_s = until_s
 
     def step(self) -> None:
-        """Execute the next event, and all that are due with it."""
+        """Execute the next event and all others due at the same time."""
         self.now_s = max(self.now_s, self._next_s())
         now_s = self.now_s
         self.settle()
@@ -200,7 +200,7 @@ class Flight:
         return max(self.companion.next_timer_s(), self._suspended_until_s)
 
     def settle(self) -> None:
-        """Carry what was sent outside of a step, and deliver what is due of it."""
+        """Carry datagrams sent outside a step, and deliver those that are due."""
         self._collect()
         while self._queue and self._queue[0][0] <= self.now_s:
             heapq.heappop(self._queue)[2]()
@@ -223,7 +223,7 @@ class Flight:
         self._reach_companion(chunk, is_genuine=True, is_intact=is_intact)
 
     def attack(self, chunk: Chunk) -> None:
-        """Have a datagram of an attacker reach the companion now, whatever the wire does."""
+        """Deliver an attacker's datagram to the companion now, regardless of the wire."""
         self._reach_companion(chunk, is_genuine=False, is_intact=False)
 
     def _reach_companion(self, chunk: Chunk, *, is_genuine: bool, is_intact: bool) -> None:
@@ -254,7 +254,7 @@ class Flight:
                 read(frame)
 
     def _wake_companion(self) -> None:
-        """Deliver what waited in the socket while the process was suspended."""
+        """Deliver the datagrams that waited in the socket while the process was suspended."""
         while self._socket:
             self._give(*self._socket.popleft())
         self._socket_bytes = 0
@@ -282,7 +282,7 @@ class Flight:
             self._end_companion()
 
     def _reach_neighbours(self, chunk: Chunk) -> None:
-        """Deliver what the companion sends to another vehicle's address, or to all."""
+        """Deliver the companion's datagrams to another vehicle's address, or to all."""
         for neighbour in self.neighbours:
             if chunk.peer in (None, neighbour.peer):
                 for each in frames_in(chunk.data):

@@ -31,7 +31,7 @@ class Lane(Enum):
 
 
 class Wire(Protocol):
-    """Carries datagrams; what happens to them depends on its seed and on what it is given only."""
+    """Carries datagrams; their fate depends only on its seed and its input."""
 
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[Delivery]:
         """Return the deliveries of a datagram sent at `now_s`: none, one, or several copies."""
@@ -91,7 +91,7 @@ class Frame:
 
 
 class Observer:
-    """Watches a flight; a subclass overrides what it wants to see."""
+    """Observer of a flight; a subclass overrides the handlers it needs."""
 
     def sent(self, frame: Frame) -> None:
         """Handle a frame that the companion sent."""
@@ -165,7 +165,7 @@ class Observers(list[Observer]):
         return listeners
 
     def notify(self, what: str, *values: object) -> None:
-        """Call a method of `Observer` on all that override it, in their order."""
+        """Call a method of `Observer` on every observer that overrides it, in order."""
         for listener in self.of(what):
             listener(*values)
 

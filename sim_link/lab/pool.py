@@ -181,7 +181,7 @@ class _Worker:
     is_interrupted: bool = False
 
     def interrupt(self, _signal: int, _frame: FrameType | None) -> None:
-        """End what is in work, and do nothing more."""
+        """Stop the running tasks, and start no more."""
         self.is_interrupted = True
         if self.is_busy:
             raise KeyboardInterrupt
@@ -215,7 +215,7 @@ def _work_unless_interrupted(work: Callable[[Item], Result], item: Item) -> Resu
 
 
 class Cluster:
-    """The workers of a dask scheduler started elsewhere; what a lost one had, another gets."""
+    """Workers of a dask scheduler started elsewhere; the tasks of a lost one go to another."""
 
     def __init__(self, client: Any, address: str) -> None:
         from distributed import KilledWorker
@@ -309,7 +309,7 @@ def check_sources(digest: str) -> None:
 
 @lru_cache(maxsize=1)
 def sources_digest() -> str:
-    """Return a short name for all that results follow from, beside what is worked on."""
+    """Return a short name of everything that results depend on, besides the tasks."""
     digest = hashlib.sha256(f"{platform.python_version()} compiled {IS_COMPILED}\n".encode())
     for name in LIBRARIES:
         digest.update(f"{name} {version_of(name)}\n".encode())

@@ -100,7 +100,7 @@ def fly_marked(
 
 
 def _or_fail(find: Callable[[], T]) -> T:
-    """Return what `find` returns; its error fails the test with one line."""
+    """Return the result of `find`; its error fails the test with one line."""
     from companion.errors import CompanionError
 
     try:

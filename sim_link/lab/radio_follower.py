@@ -9,7 +9,7 @@ those of a payload on board would. What lags is stamped and sent with the first 
 With an emulator it prints what a real radio of that make would, on a link of its own, and the
 vehicle hears nothing but the questions. What it measures is the same with the same seed.
 
-`sim-link radio`: arguments, lines for people, and who is asked to carry what.
+`sim-link radio`: arguments, console output, and requests to the autopilot.
 """
 
 from __future__ import annotations
@@ -275,7 +275,7 @@ class RadioFollower(OneShotEndpoint):
 
 
 MOST_HZ = 50.0
-"""Positions come no faster."""
+"""Largest rate of positions, Hz."""
 SILENCE_S = 10.0
 """Seconds without a vehicle after which a warning is printed."""
 
@@ -325,7 +325,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Follow the vehicle until stopped; a ConfigError or LinkError for what is bad input."""
+    """Follow the vehicle until stopped; raise ConfigError or LinkError for bad input."""
     _check_options(arguments)
     follower, links = _follower(arguments), _links(arguments)
     say = _speaker(arguments)
@@ -404,7 +404,7 @@ def _follower(arguments: argparse.Namespace) -> RadioFollower:
 
 
 def parse_emitter(text: str, number: int) -> GeodeticEmitter:
-    """Return the emitter of `LAT,LON[,AMSL]`; `ConfigError`: it is none."""
+    """Return the emitter of `LAT,LON[,AMSL]`; raise `ConfigError` if malformed."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

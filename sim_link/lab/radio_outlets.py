@@ -113,7 +113,7 @@ class StdoutLink(Link):
 
 
 class SocketLink(Link):
-    """A port where a web socket is served; `websockets` does the handshake, pings and the end."""
+    """Port that serves a web socket; `websockets` handles handshake, pings and closing."""
 
     def __init__(self, page: PageAddress, index: int) -> None:
         super().__init__(f"ws {page.host}:{page.port}", index, lambda _: None)

@@ -1,4 +1,4 @@
-"""The emitter, obstacles, and what a radio path suffers in the open and in their shadow.
+"""Emitter, obstacles, and errors of radio paths in the open and in their shadow.
 
 Theory of operation. In the open one draw decides for a whole measurement whether the path is
 obstructed, as the paper has it: then the range has an exponential excess and the bearing a normal
@@ -88,7 +88,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
     """Parameters of a radio in the field, beyond the paper's model; the defaults add nothing."""
 
     correlation_m: NonNegative = 0.0
-    """Way over which the open path's obstruction forgets itself to 1/e; 0: every draw is new."""
+    """Distance over which the open path's obstruction decorrelates to 1/e; 0: independent draws."""
     range_step_m: NonNegative = 0.0
     """Ranges come in whole steps of this; 0: as they are."""
     range_sigma_growth: NonNegative = 0.0
@@ -269,7 +269,7 @@ def obstruction(
     surroundings: Surroundings,
     memory: ShadowMemory,
 ) -> tuple[float, float, ShadowMemory]:
-    """Return range excess, metres, never negative; bearing bias, radians; what to remember.
+    """Return range excess, metres, never negative; bearing bias, radians; the memory.
 
     The position is the sensor's (height 0 in the plane); the memory of the measurement before is
     `NO_MEMORY` at first. Paper: b of eq. (1).
@@ -320,6 +320,6 @@ class Environment:
     def around(self, emitter_enu_m: PositionEnu) -> Surroundings:
         """Return an emitter in it.
 
-        Finds the ways from all corners to it, so keep what it returns.
+        Computes the paths from all corners to it, so keep the result.
         """
         return line_of_sight.surroundings_of(emitter_enu_m, self.edges, self._corners)

@@ -60,7 +60,7 @@ from sim_link.world.radio_channel import (
 Measures = Literal["both", "range", "bearing", "power"]
 IDEAL = AntennaModelParams()
 PATH_NORMALS, GROSS_NORMALS, FREE_NORMALS = 3, 4, 5
-"""Drawn for each measurement: of the path, of gross errors, and of what never stays."""
+"""Random draws of each measurement: path, gross errors and white noise."""
 
 
 def burial_excess_m(thickness_m: float, permittivity: float, up: float) -> float:
@@ -115,7 +115,7 @@ class _Path:
 
 
 class _Moment(NamedTuple):
-    """One measurement, with what chance has drawn for it."""
+    """One measurement with its random draws."""
 
     emitter: Emitter
     place: PositionEnu

@@ -1,4 +1,4 @@
-"""The true radio channel: what a range or bearing suffers, and how antennas print directions.
+"""True radio channel: errors of ranges and bearings, and the directions antennas report.
 
 Paper, eq. (1): y = h(x; s) + delta + b + eps. One draw decides for a whole measurement whether the
 path is obstructed (NLOS): then it is longer, never shorter (exponential), and bent to either side
@@ -51,7 +51,7 @@ from sim_link.world.line_of_sight import Surroundings
 from sim_link.world.point_mass import Components, EulerAngles, seen_from
 
 MIN_RANGE_M = 0.01
-"""Measured ranges stay positive, as the paper has it."""
+"""Measured ranges stay positive, as in the paper."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class RadioChannel:
         self._params = params
 
     def prepare(self, emitter: Emitter) -> None:
-        """Find the ways to `emitter`, and compile what is compiled, before time counts."""
+        """Find the paths to `emitter`, and compile the kernels, before time counts."""
         self._obstruction((0.5, 1.0, 0.0), emitter, emitter.position_enu_m)
 
     def draw(self, emitter: Emitter, sensor_enu_m: PositionEnu) -> ChannelDraw:
@@ -165,7 +165,7 @@ class RadioChannel:
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
-        """Return range excess, bearing bias, and what to remember of the shadow."""
+        """Return range excess, bearing bias and the shadow's memory."""
         place, open_path = emitter.position_enu_m, self._character(emitter).open_path
         memory = self._memories.get(place, NO_MEMORY)
         if self._environment is None:
@@ -182,7 +182,7 @@ class AntennaModelParams(Params, frozen=True):
     """Antenna of a radio that measures directions."""
 
     kind: AntennaKind = "ideal"
-    """ideal: the azimuth in the world's frame whatever the attitude, as the paper has it."""
+    """ideal: the azimuth in the world's frame at any attitude, as in the paper."""
     sigma_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] | None = None
     """Noise of each direction cosine at boresight; None: the channel's `bearing_sigma_deg`."""
     mount_deg: tuple[Degrees, Degrees, Degrees] = (0.0, 0.0, 0.0)

@@ -69,7 +69,7 @@ LOOP, OBJECT = "update, in a kernel's loop", "TargetFilter.update"
 MAP_STEP = f"MAP step of {WINDOW}"
 
 Seconds = dict[str, float]
-"""Per update or step, by what was timed."""
+"""Time per update or step, by name."""
 Contender = Callable[[], Seconds]
 Subject = TypeVar("Subject", bound=Hashable)
 

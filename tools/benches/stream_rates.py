@@ -107,7 +107,7 @@ def free_port() -> int:
 
 
 def measure(clients: Sequence[SetpointClient], seconds: float) -> int:
-    """Take both measurements; return the exit code."""
+    """Run both measurements and return the exit code."""
     for client in clients:
         client.attach()
     clients[0].get_ready()

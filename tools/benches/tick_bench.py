@@ -73,7 +73,7 @@ class TickCost:
     stretch_worst_ms: float
     """The longest call of the endpoint, the control tick among them."""
     estimates: int
-    """Measurements that were fused."""
+    """Number of fused measurements."""
 
     @property
     def limit_ms(self) -> float:
@@ -87,7 +87,7 @@ class TickCost:
 
 
 class SilentJournal(MemoryJournal):
-    """Journal that keeps nothing, so that garbage collection costs what it does in a flight."""
+    """Journal that keeps nothing, so that garbage collection costs the same as in a flight."""
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Drop an event."""

@@ -44,7 +44,7 @@ class MemoryStore:
 
 
 class FlightClock:
-    """A flight's time as a shell's clock."""
+    """Clock of a shell that shows the flight's time."""
 
     speed = 1.0
 
@@ -57,9 +57,9 @@ class FlightClock:
 
 
 class Checkpointing(Observer):
-    """An observer that gives a flight's companion what a process has beside it.
+    """Observer that gives a flight's companion the services of its process.
 
-    Each companion that is started takes up what the one before left, unless that is too old.
+    Each companion started resumes the previous one's checkpoint, unless it is too old.
     """
 
     def __init__(self, flight: Flight, max_age_s: float = MAX_AGE_S) -> None:

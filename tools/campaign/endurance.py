@@ -152,7 +152,7 @@ def _fuzz(trial: Trial) -> TrialOutcome:
 
 
 JUDGED = ("I6", "I8", "I9", "I11")
-"""Invariants that hold whatever a vehicle reports; the others need truthful reports."""
+"""Invariants that hold for any reports; the others need truthful reports."""
 
 
 HOUR_S = 3600.0

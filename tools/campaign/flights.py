@@ -1,4 +1,4 @@
-"""Trials of a campaign: what one is, the faults drawn for it, and the monitored flight it flies."""
+"""Trials of a campaign: their faults, drawn at random, and their monitored flights."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TrialFinding:
 class TrialOutcome:
     """Findings and measurements of a trial, and its log for a replay.
 
-    Over all trials sums are added; of the others the greatest and the least count.
+    Over all trials counts are added, and of the other figures the extremes are kept.
     """
 
     trial: Trial
@@ -91,7 +91,7 @@ class Part:
     cost_s: float = 1.0
     """About how long a trial of size 1 takes one core; for progress and fair shares."""
     base_cost_s: float = 0.0
-    """Time in s that every trial takes beside that, whatever its size."""
+    """Additional time in s of every trial, regardless of its size."""
     split: Callable[[float], tuple[int, float]] = lambda amount: (round(amount), 1.0)
     """Return the number of trials for an amount of the part, and the size of each trial."""
 
@@ -122,7 +122,7 @@ class SignedPair:
     def companion(
         self, config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
     ) -> CompanionEndpoint:
-        """Return a companion that remembers what the one before stored at its end."""
+        """Return a companion that resumes from the previous one's final checkpoint."""
         before = self._companion
         self._companion = Signing(KEY, before.timestamp, dict(before.streams), ONE_LINK_EACH)
         return build_endpoint(
@@ -159,7 +159,7 @@ ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e
 
 
 def flavour_of(seed: int) -> FlavourName:
-    """Return the two autopilots alternately."""
+    """Return PX4 or ArduPilot, alternately by trial."""
     return "px4" if seed % 2 else "ardupilot"
 
 

@@ -91,7 +91,7 @@ def hold_for_hours(trial: Trial) -> TrialOutcome:
 
 
 def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Gaps]:
-    """Fly a hold over a link with loss in both directions."""
+    """Fly a position hold over a link with losses in both directions."""
     scenario = Scenario(
         autopilot=AutopilotParams(flavour=flights.flavour_of(seed)),
         battery=BatteryParams(endurance_s=1e6),

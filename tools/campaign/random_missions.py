@@ -39,7 +39,7 @@ Corners = tuple[tuple[float, float], ...]
 
 
 def fields_of(fault: FaultRecord) -> dict[str, object]:
-    """Return the mapping that names a fault, without what is as by default."""
+    """Return the mapping of a fault without default values."""
     usual = msgspec.to_builtins(type(fault)())
     fields: dict[str, object] = msgspec.to_builtins(fault)
     return {name: value for name, value in fields.items() if name == "kind" or value != usual[name]}

@@ -71,7 +71,7 @@ CAMPAIGN_PARTS = {
         "memory grows by {soak_slope_mb_per_h:.3f} MB/h, log of {soak_log_bytes:,} bytes",
     ),
 }
-"""Parts of tools/faults.py in words: what was flown, and its figures."""
+"""Parts of tools/faults.py in words: the flights and their figures."""
 
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:

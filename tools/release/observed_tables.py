@@ -13,7 +13,7 @@ from tests.contract.observed_rows import FLAVOURS, Sheet, load_sheet
 
 
 def table(head: str, lines: list[tuple[str, str]]) -> str:
-    """Return a table of two columns; all that belongs to one topic is one row."""
+    """Return a table of two columns with one row per topic."""
     topics: dict[str, list[str]] = {}
     for topic, text in lines:
         topics.setdefault(topic, []).append(text)
@@ -44,7 +44,7 @@ def _sentence(text: str) -> str:
 
 
 def main() -> int:
-    """Print what each autopilot and the simulator have in common, and how they differ."""
+    """Print common and differing behaviour of each autopilot and the simulator."""
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     sheets = [load_sheet(flavour) for flavour in FLAVOURS]
     print(*(text for sheet in sheets for text in (same(sheet), different(sheet))), sep="\n\n")

@@ -90,7 +90,7 @@ def operator_texts() -> list[str]:
 
 
 def findings() -> dict[str, list[str]]:
-    """Return what the check counts, as lines with their places."""
+    """Return the lines that the check counts, with their positions."""
     every = list(docstrings())
     lines = []
     for path in files_of(*TEXTS):
@@ -115,7 +115,7 @@ def findings() -> dict[str, list[str]]:
 
 
 def main() -> int:
-    """Print the sample, or what the check found."""
+    """Print the sample, or the findings of the check."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=1, help="of the sample")
     parser.add_argument("--check", action="store_true", help="count, and exit with 1 over a limit")

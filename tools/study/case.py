@@ -1,4 +1,4 @@
-"""A case of a study: the scene, the fixed track, and the randomness drawn ahead.
+"""A study case: the scene, the fixed track, and random draws made in advance.
 
 The defaults are the paper's canonical scenario ("Simulation Setup"), and where it is open:
 
@@ -12,11 +12,11 @@ The defaults are the paper's canonical scenario ("Simulation Setup"), and where 
     FIM candidates           16 headings at the step length, and staying
     lawnmower                5 m lanes over the whole area, the first at y = 2.5 m
     eps_stop                 0
-    plane                    sensor and target at one height, the sensor's place known exactly
+    plane                    sensor and target at one height, the sensor's position known exactly
 
-Truth, channel and planner of a run have streams of their own, so that every system suffers the
-same. The channel's draws do not depend on the case: of the same seed, a run with more NLOS or less
-noise has the same obstructed paths and a few more, and the same bends and noise on another scale.
+Truth, channel and planner of a run have separate random streams, so that every system meets the
+same errors. The channel's draws do not depend on the case: with the same seed, a run with more NLOS
+or less noise has the same obstructed paths and a few more, and scaled copies of the same errors.
 They are the numbers of `sim_link.world.radio_channel` for the same stream.
 """
 
@@ -64,7 +64,7 @@ STUDY_SHADOW = ShadowParams(
     bearing_bias_sigma_deg=10.0,
     correlation_m=0.0,
 )
-"""The structured obstacle of the studies: blocked or not is all that matters, draws are new."""
+"""Structured obstacle of the studies: only blocking matters, draws are independent."""
 
 
 class Case(Params, frozen=True):

@@ -45,7 +45,7 @@ SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 class Priors(NamedTuple):
-    """Standard deviations of what is not known before a flight."""
+    """Standard deviations of parameters unknown before a flight."""
 
     height_m: float
     """Of the target's height."""
@@ -195,7 +195,7 @@ def compared(task: FieldFlight) -> Matrix:
 
 
 def flights_to_compare(runs: int, seed: int, radios: Sequence[str]) -> list[FieldFlight]:
-    """Return configured latched crossings of these radios, or of all that measure no power."""
+    """Return configured latched crossings of these radios, or of all without power."""
     grid = studies_of("field", STUDIES)[0].flights
     assert grid is not None
     only = [*radios, "configured", "latched_crossing"]

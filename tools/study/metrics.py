@@ -111,9 +111,9 @@ TAIL_SIGMAS = 9.0
 TAIL_MEANS = 40.0
 """Exponential tails are cut here, in means."""
 NO_BIAS_SIGMAS = 1e-4
-"""A mean bias smaller than this is none."""
+"""Mean bias below which an estimator counts as unbiased."""
 LEAST_SHARE = 1e-12
-"""Information below this share of what the known offsets would leave is rounding."""
+"""Share of the information with known offsets below which the rest is rounding."""
 MIN_DISTANCE_M = 1e-3
 """Nearer than this a direction has no meaning, and a measurement says nothing of the position."""
 

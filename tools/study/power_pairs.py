@@ -117,6 +117,6 @@ def _is_outside(row: FlightRow) -> bool:
 
 
 def _chance(better: int, worse: int) -> float:
-    """Return the probability of so many worse ones or more, if both are equally likely."""
+    """Return the probability of at least this many worse pairs if both are equally likely."""
     count = better + worse
     return float(sum(math.comb(count, k) for k in range(worse, count + 1)) / 2**count)

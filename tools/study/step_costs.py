@@ -183,7 +183,7 @@ def decided(
 
 
 def contenders(run: RecordedRun) -> list[Contender]:
-    """Return everything that is timed of one run: step, filterpy's update, perhaps the decision."""
+    """Return the timed functions of one run: step, filterpy's update, perhaps the decision."""
     walk, steering, steps = run.walk, run.steering, len(run.walk.z) - 1
     part = slice(FILTERPY_UPDATES + 1)
     beginning = replace(walk, track_enu_m=walk.track_enu_m[part], z=walk.z[part])

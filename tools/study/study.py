@@ -44,7 +44,7 @@ Metric = Literal[
 FigureName = Literal["losses", "rmse", "offsets", "tracks", "gradients", "sensitivity"]
 """Figures of the report, see `reporting.figures`."""
 Value = float | int | str | bool | None
-"""Value that a sweep sets a field to; in tables as `value_text` has it."""
+"""Value that a sweep assigns to a field; tables show its `value_text`."""
 PaperValue = float | int | str | None
 """A number as the paper prints it, ">500", or nothing where it prints none."""
 Overrides = dict[str, Any]
@@ -86,7 +86,7 @@ ConfigKind = Literal["configured", "unconfigured"]
 
 
 class FlightGrid(Params, frozen=True):
-    """Flights of the whole companion: every radio, configuration and planner with each other."""
+    """Flights of the whole companion, in every combination of radio, configuration and planner."""
 
     cut_s: dict[str, Positive]
     """Time in s after which a flight without a report ends, by scenario of `scenarios/field`."""
@@ -312,7 +312,7 @@ class FlightRow(Params, frozen=True):
     time_s: float
     """Time from engaging to the report, or to the cut."""
     state: str | None
-    """State of the estimate, as all that follows: that of the report, or the last one."""
+    """State of the estimate, like all following fields at the report, else at the end."""
     error_m: float | None
     """Relative: from the truth as the vehicle's own receiver shows it at that time."""
     absolute_error_m: float | None

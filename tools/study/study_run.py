@@ -59,7 +59,7 @@ Work = Mapping[str, RunSeries]
 """Results of the studies by key, each once: blocks of runs."""
 
 COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0}
-"""Roughly, of a run of 500 steps; what is not named takes USUAL_COST_MS."""
+"""Approximate time of a run of 500 steps, ms; others take USUAL_COST_MS."""
 USUAL_COST_MS = 1.7
 USUAL_STEPS = 500
 

@@ -51,7 +51,7 @@ Fuse = Callable[[RangingMeasurement, PositionEnu], tuple[TargetEstimate, Matrix]
 """Takes in a measurement from a place; returns the estimated target position, and the (4, 4)
 covariance of [east, north, range offset, bearing offset]."""
 Steer = Callable[[int, Point, TargetEstimate, Matrix], Point]
-"""The place of a step, from the place before and what `Fuse` said there."""
+"""Position of a step, from the previous position and the result of `Fuse` there."""
 
 
 def fuse_by_filter(

@@ -153,7 +153,7 @@ class WalkFilter(NamedTuple):
 
 
 class WalkSteering(NamedTuple):
-    """A planner with its parameters, as the kernels take it; the ring (k, 2) is of FIM."""
+    """Planner with its parameters in the form of the kernels; the ring (k, 2) belongs to FIM."""
 
     planner: int
     step_m: float

@@ -206,7 +206,7 @@ if IS_COMPILED:
 
 @kernel
 def lateness_variance(H: Vector, late_m2: float, model: RangingModel) -> float:
-    """Return the variance that a late measurement row gains by a random walk of the target."""
+    """Return the variance that a late measurement gains from the target's random walk."""
     position2 = H[0] * H[0] + H[1] * H[1]
     if model.height_index >= 0:
         position2 += H[model.height_index] * H[model.height_index]
@@ -302,7 +302,7 @@ class RecursiveFilter:
         self.kernel = kernel
         self._walk = params.process_noise_m_per_sqrt_s
         self.settings = (params.thresholds, params.bounds, params.model, *options)
-        """Last arguments of the kernel, the same for every measurement."""
+        """Last arguments of the kernel, which are the same for every measurement."""
         self._latest: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
         """Latest measurement, sensor position and kernel arguments, reused for all hypotheses."""
 

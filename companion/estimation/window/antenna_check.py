@@ -55,7 +55,7 @@ it."""
 DECISION_SIGMAS = 3.0
 """Standard deviations of the cost difference by noise."""
 EVERY = 4
-"""Solutions between two checks of an identified antenna."""
+"""Number of solutions between two checks of an identified antenna."""
 
 NLOS_SIGMAS = 2.0
 """Excess of a range, in sigma, from which it and its bearing came by reflection or around an

@@ -142,7 +142,7 @@ SETTLED_COUNT = 300
 EARLY_SHARE = 0.1
 """Growth of the window at which it is solved early on."""
 VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
-"""Least covariance of a hypothesis while the window has no acceptable optimum."""
+"""Minimum covariance of a hypothesis while the window has no acceptable optimum."""
 NEAREST_START_M = 4.0
 """Distance of the nearest fresh start without a range."""
 SHARED_PASSES = 8

@@ -115,8 +115,8 @@ class Contrast:
     """Expected difference, from the geometry."""
     variance: float
     degrees: float
-    """Degrees of freedom of the variance, by the errors of measurements: of the vehicle's own only
-    the standard deviation is stated."""
+    """Degrees of freedom of the variance, from the measurement errors; the vehicle's position error
+    is known only by its standard deviation."""
 
     def log_ratio(self, gap: float) -> float:
         """Return the log odds of the place that costs more by `gap`, at most 0."""

@@ -164,7 +164,7 @@ class FlightPlan:
         )
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
-        """Return a text when a search begins, ends, or begins again."""
+        """Yield a text when a search begins, ends or resumes."""
         after_s = self._planner.search_after_s
         if after_s is None or after_s == 0.0:
             return []

@@ -69,7 +69,7 @@ class Searching:
         self._detection = detection
         """`params.detection` with a reach."""
         self._is_planned = is_planned
-        """True if the planner flies by what is left."""
+        """True if the planner uses the remaining probability."""
         self._site = site
         self._area: SearchedArea | None = None
         self._origin: LocalOrigin | None = None
@@ -235,7 +235,7 @@ class Searching:
         return grid_over([WeightedArea(tuple(fence_enu_m))], self.params.cell_m)
 
     def outlook(self, vehicle: VehicleView) -> Outlook | None:
-        """Return what is left to search, at most seconds old; None: unknown.
+        """Return the remaining probability, at most seconds old; None: unknown.
 
         While none is sought nothing is counted, and a frame that moved is not that of the grid.
         """

@@ -134,7 +134,7 @@ class _Condition:
 
     def __init__(self) -> None:
         self.since_s: float | None = None
-        """Time of its first report; None: there is none, or it was ended."""
+        """Time of its first report; None without one, or after its end."""
         self._bad_s = 0.0
         """Time of the last report of the condition."""
         self._good_s: float | None = None

@@ -25,7 +25,7 @@ NOTICE = logging.INFO + 5
 """Level of a change that is no fault: `--quiet` shows it, too."""
 
 Received = Callable[[list[Chunk]], None]
-"""Called once per wake-up of a link with all that it read."""
+"""Called once per wake-up of a link with the bytes read."""
 
 MAX_READS = 64
 """Reads per wake-up, so that a flood on one link cannot keep the timer waiting."""
@@ -119,7 +119,7 @@ def bound_address(bound: socket.socket | None) -> Address:
 
 
 def bind_problem(kind: str, host: str, port: int, error: OSError) -> str:
-    """Return one line about a port that cannot be bound: what is wrong and what to do."""
+    """Return one line about a port that cannot be bound: the cause and the remedy."""
     where = f"{kind} {host}:{port}"
     if error.errno == errno.EADDRINUSE:
         hint = " (QGroundControl listens there too)" if port == 14550 else ""

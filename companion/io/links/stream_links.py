@@ -324,7 +324,7 @@ class ExecLink(Link):
         self._timer = asyncio.get_running_loop().call_later(pause_s, self._start)
 
     def _release(self) -> None:
-        """Close the pipes, on which the keeper ends what is left of the session."""
+        """Close the pipes, so that the keeper ends the rest of the session."""
         for stream in self._streams:
             stream.close()
         self._streams = []
@@ -405,7 +405,7 @@ class PtyLink(StreamLink):
         return f"cannot be made ({error.strerror or error})"
 
     def _wait(self) -> None:
-        """Check whether a program has opened the slave side, and check again in a moment if not."""
+        """Poll until a program has opened the slave side."""
         self._look = None
         if self._master is None or self._is_closed:
             return

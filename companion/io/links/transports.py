@@ -38,7 +38,7 @@ from companion.radios.decoder import Poll
 DEFAULT_BAUD = 921_600
 """Serial speed where none is given: PX4's default for TELEM2, its companion port."""
 OWN_HOST = "127.0.0.1"
-"""This machine alone: what an empty host means where we listen."""
+"""Address of this machine only: the meaning of an empty host when listening."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class _AtPort:
 
 
 class UdpBind(_AtPort):
-    """UDP port that binds and waits; a chunk goes to the peer it names, and nowhere without one."""
+    """UDP port that binds and waits; a chunk goes to the peer it names, else it is dropped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ def detach_source_filter(sock: socket.socket) -> None:
 
 
 def _ask_for_stamps(sock: socket.socket) -> bool:
-    """Let the kernel stamp what arrives; return False if it cannot, as before Linux 5.1."""
+    """Let the kernel time-stamp arrivals; return False if it cannot, as before Linux 5.1."""
     if sys.platform != "linux":
         return False
     try:
@@ -121,9 +121,9 @@ class UdpLink(Link):
         self._sole_peer: Address | None = None
         self._is_stamped = False
         self._busy_until_s = 0.0
-        """Monotonic time until which what arrives is read at once."""
+        """Monotonic time until which arrivals are read at once."""
         self._earliest_s = 0.0
-        """Monotonic time before which nothing that is read from now on can have arrived."""
+        """Earliest monotonic arrival time of anything read from now on."""
         self._address: Address = ("", 0)
         """Address that is bound, or connected to."""
         self._reopening: asyncio.TimerHandle | None = None

@@ -200,7 +200,7 @@ class FileLink(WaitingLink):
             self._stop.wait(10.0 * FILE_LOOK_S)
 
     def _follow(self, fd: int) -> None:
-        """Hand over what is appended, until the file is replaced or truncated."""
+        """Deliver appended data until the file is replaced or truncated."""
         inode = os.fstat(fd).st_ino
         while not self._stop.is_set():
             data = os.read(fd, 65_536)

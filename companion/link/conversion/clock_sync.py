@@ -39,7 +39,7 @@ PERIOD_S = 0.5
 BEST_OF = 16
 """Periods in which the shortest round trip is searched, however many answers come at once."""
 MAX_ROUND_TRIPS = 128
-"""Limit of stored round trips: periods of quick questions, and of those that were delayed."""
+"""Largest number of stored round trips, prompt and delayed."""
 SLOWER_S = 0.010
 """Excess over the shortest round trip from which an exchange is ignored."""
 DEVIATION_S = 0.05

@@ -366,7 +366,7 @@ class VehicleClock:
 
     @property
     def wild_rate(self) -> Rate | None:
-        """Rate by the exchange of times, where arrivals alone cannot show it; else None."""
+        """Clock rate from the time exchange if it exceeds `MAX_RATE`, else None."""
         rate = self._stamps.timebase.known_rate
         return rate if rate is not None and abs(rate.growth) > MAX_RATE else None
 

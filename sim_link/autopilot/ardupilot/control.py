@@ -1,6 +1,6 @@
 """Control of ArduCopter from outside and its end: GUIDED, and failsafes.
 
-GUIDED of ArduCopter: what each target message asks for, and what becomes of it.
+GUIDED of ArduCopter: the meaning and effect of each target message.
 
 Take-off comes first, positions are latched for ever, motions time out without a word. A position
 with a velocity runs on by it until the time-out, and is latched where it is then.
@@ -14,7 +14,7 @@ on a NaN position: here it is refused, and a text says so.
 Source: ArduPilot documentation, "Copter Commands in Guided Mode"; ArduCopter 4.5 as observed in
 SITL; parameter GUID_TIMEOUT.
 
-ArduCopter's failsafes: what is wrong, since when, and the mode that is asked for.
+ArduCopter's failsafes: the fault, its beginning, and the requested mode.
 
 A failsafe changes the mode once, on entering, and nothing changes it back.
 
@@ -299,7 +299,7 @@ BATTERY_LEVELS = (
     ("BATT_LOW_VOLT", "BATT_LOW_MAH", "Battery 1 is low", "BATT_FS_LOW_ACT"),
     ("BATT_CRT_VOLT", "BATT_CRT_MAH", "Battery 1 is critical", "BATT_FS_CRT_ACT"),
 )
-"""Parameters of the least voltage and charge, the failsafe's name, and what it does."""
+"""Parameters of the minimum voltage and charge, the failsafe's name, and its action."""
 
 
 @dataclass(frozen=True, slots=True)

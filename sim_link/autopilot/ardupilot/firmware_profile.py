@@ -57,7 +57,7 @@ NOT_ITS_OWN = message_ids(
 )
 """Known here, but neither to common.xml nor to ardupilotmega.xml of that version."""
 VENDORS = (range(150, 227), range(10001, 10152), range(11000, 11061))
-"""Ids of ardupilotmega.xml, and of what it includes."""
+"""Ids of ardupilotmega.xml and of the dialects that it includes."""
 DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_ITS_OWN).union(*VENDORS)
 
 STREAMS = StreamProfile(

@@ -1,4 +1,4 @@
-"""ArduCopter on one aircraft: modes, arming, GUIDED, failsafes, and what HEARTBEAT shows.
+"""ArduCopter on one aircraft: modes, arming, GUIDED, failsafes and HEARTBEAT.
 
 A failsafe of ArduPilot changes the mode like an operator would, and nothing changes it back.
 
@@ -325,7 +325,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             self._react(event, now_s)
 
     def _react(self, event: FailsafeEvent, now_s: float) -> None:
-        """Say what happened; on entering a failsafe, change the mode once."""
+        """Announce the event; on entering a failsafe, change the mode once."""
         self.aircraft.say(CRITICAL, event.text)
         if event.stops_motors:
             self.disarm(is_forced=True)

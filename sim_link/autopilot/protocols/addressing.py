@@ -62,7 +62,7 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Partner:
-    """A component that said something, and the channel it was heard on."""
+    """Component that has sent a message, and the channel it was heard on."""
 
     channel: Channel
     system_id: int

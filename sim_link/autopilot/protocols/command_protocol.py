@@ -321,7 +321,7 @@ class _Question:
     partner: Partner
     arrived_s: float
     bytes_waiting: int
-    """Bytes of this frame and of those behind it."""
+    """Bytes of this frame and of those queued after it."""
 
 
 class Clocks:

@@ -39,7 +39,7 @@ MAX_STREAMS = 64
 
 
 class FrameReceivers:
-    """Cuts what arrives into frames, each peer's byte stream by itself.
+    """Cuts arriving bytes into frames, separately for each peer's byte stream.
 
     Several clients of one TCP port may each be in the middle of a frame; read as one stream, they
     would tear each other's frames apart.
@@ -116,7 +116,7 @@ Component = tuple[int, int]
 
 
 class Router:
-    """Knows who was heard where; what is for the vehicle's own components stays here."""
+    """Knows where components were heard; frames for the vehicle's own components stay here."""
 
     def __init__(self, system_id: int, own_components: tuple[int, ...], links: int = 1) -> None:
         self._system_id = system_id
@@ -286,7 +286,7 @@ class LinkLayer:
         return [self._sent_as(outgoing.to)]
 
     def keep_apart(self, channels: Collection[Channel]) -> None:
-        """Send to these peers what is theirs alone; those not named share their links again."""
+        """Send to these peers separately; those not named share their links again."""
         wanted = {each for each in channels if each.peer is not None}
         present = {each for each in self._versions if each.peer is not None}
         if wanted == present:
@@ -317,7 +317,7 @@ class LinkLayer:
         return setup
 
     def forget(self, channel: Channel) -> None:
-        """Drop what is known of a channel that is gone."""
+        """Forget a channel that is gone."""
         self.router.forget(channel)
         self._receivers.forget(channel)
 

@@ -92,7 +92,7 @@ class StreamTable:
             self._start(number, self._default_interval_s(number), started_s)
 
     def take_due(self, now_s: float) -> list[int]:
-        """Return ids of the messages due at `now_s`, each once, whatever was missed before."""
+        """Return ids of the messages due at `now_s`, each once, even after missed periods."""
         latest_s, streams = now_s + DUE_TOLERANCE_S, self._streams
         due = [(each.due_s, number) for number, each in streams.items() if each.due_s <= latest_s]
         due.sort()
@@ -188,15 +188,15 @@ class RequestProfile:
     """Results with which an autopilot refuses requests."""
 
     no_message: CommandResult
-    """REQUEST_MESSAGE of what is unknown or has no data."""
+    """Result of REQUEST_MESSAGE for an unknown message or one without data."""
     no_stream: CommandResult
-    """SET_MESSAGE_INTERVAL of what is unknown or cannot be changed."""
+    """Result of SET_MESSAGE_INTERVAL for an unknown message or a fixed rate."""
     no_interval: CommandResult
-    """GET_MESSAGE_INTERVAL of what is unknown; MESSAGE_INTERVAL with 0 goes before it."""
+    """Result of GET_MESSAGE_INTERVAL for an unknown message, sent after a MESSAGE_INTERVAL of 0."""
     not_on_request: frozenset[int] = frozenset()
     """Streamed, but refused by REQUEST_MESSAGE."""
     has_texts: bool = False
-    """A refused SET_MESSAGE_INTERVAL is explained."""
+    """True if a refused SET_MESSAGE_INTERVAL is explained by a text."""
     casts_id: bool = False
     """REQUEST_MESSAGE cuts a fraction off the id, and takes NaN for 0."""
     reports_protocol_version: bool = True
@@ -206,7 +206,7 @@ class RequestProfile:
 
 
 class MessageRequests:
-    """Keeps the streams of every channel and obeys what is asked about messages."""
+    """Keeps the streams of every channel and answers message requests."""
 
     def __init__(
         self,

@@ -119,7 +119,7 @@ class PlanUploads:
         return self._finish(upload, partner)
 
     def handle_timer(self, now_s: float) -> list[Outgoing]:
-        """Ask again where an item is late; give up what has been silent for too long."""
+        """Repeat the request for a late item; abandon transfers that are silent for too long."""
         outgoing: list[Outgoing] = []
         for partner, upload in list(self._uploads.items()):
             if now_s >= upload.active_s + self._rules.timeout_s:
@@ -196,7 +196,7 @@ def _why(result: PlanResult) -> str:
 
 
 class PlanDownloads:
-    """The downloads of all partners, each by itself."""
+    """Downloads of all partners, kept separately."""
 
     def __init__(self, store: PlanStore, rules: PlanRules) -> None:
         self._store = store
@@ -238,7 +238,7 @@ class PlanDownloads:
         return [Outgoing(message, partner.channel)]
 
     def end(self, partner: Partner) -> None:
-        """Handle the partner's ACK, whatever its result."""
+        """Handle the partner's ACK of any result."""
         self._downloads.pop(partner, None)
 
     def handle_timer(self, now_s: float) -> None:
@@ -302,7 +302,7 @@ class Plans:
         return []
 
     def handle_timer(self, now_s: float) -> list[Outgoing]:
-        """Ask again for what is late; end what has been silent for too long."""
+        """Repeat requests for late items; end transfers that have been silent for too long."""
         self._downloads.handle_timer(now_s)
         return self._uploads.handle_timer(now_s)
 

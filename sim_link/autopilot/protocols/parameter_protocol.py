@@ -224,7 +224,7 @@ MAX_LISTS = 16
 """Most lists at a time; a client that is not served requests again, as clients do when a list does
 not come."""
 MAX_BURST = 64
-"""Values per call: what a slow caller missed is made up for bit by bit."""
+"""Largest number of values per call; a slow caller catches up gradually."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ FRAME_MISSION = mavlink.MAV_FRAME_MISSION
 
 
 class PlanType(IntEnum):
-    """MAV_MISSION_TYPE of what is stored."""
+    """MAV_MISSION_TYPE of the stored plan."""
 
     MISSION = mavlink.MAV_MISSION_TYPE_MISSION
     FENCE = mavlink.MAV_MISSION_TYPE_FENCE
@@ -172,7 +172,7 @@ class PlanStore:
         return mission, fence, rally
 
     def home_at(self, plan_type: PlanType, seq: int) -> PlanItem | None:
-        """Return the vehicle's home if it takes the place of a mission item, else None."""
+        """Return the vehicle's home if it replaces this mission item, else None."""
         is_home = plan_type is PlanType.MISSION and seq == 0
         return self._home() if self._home is not None and is_home else None
 
@@ -197,7 +197,7 @@ class PlanStore:
         self._plans[plan_type] = (*items[:seq], item, *items[seq + 1 :])
 
     def truncate(self, plan_type: PlanType, count: int) -> None:
-        """Drop what is beyond `count` items, as ArduPilot does before an upload."""
+        """Drop items beyond `count`, as ArduPilot does before an upload."""
         self.replace(plan_type, self._plans[plan_type][:count])
 
     def take_events(self) -> list[PlanEvent]:

@@ -1,6 +1,6 @@
 """Control of PX4 from outside and its end: offboard setpoints, and failsafes.
 
-Offboard setpoints of PX4: which are valid and what they ask for.
+Offboard setpoints of PX4: their validity and meaning.
 
 A field that is NaN or infinite counts as masked. A setpoint is refused, and is then no proof of
 life, if its frame is not one of ours, if it sets the FORCE bit, or if it leaves neither position,
@@ -13,7 +13,7 @@ refused, and is no proof of life.
 
 Source: MAVLink common, messages 82, 84 and 86; PX4 user guide, offboard; PX4 1.15 as observed.
 
-PX4's failsafes: what is wrong now, and which reaction to it wins.
+PX4's failsafes: the present faults, and the reaction that takes precedence.
 
 Theory of operation. Every cause has a reaction while it is active, and the most severe reaction is
 flown. Most reactions wait: PX4 holds for COM_FAIL_ACT_T first, so that the operator may take over,
@@ -114,7 +114,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
 
 
 def effective_mask(message: PositionTarget, position: tuple[float, float, float]) -> int | None:
-    """Return the type mask with the bits of what is no number, too.
+    """Return the type mask, with the bits of NaN fields added.
 
     None if the setpoint is refused.
     """

@@ -227,7 +227,7 @@ class Px4Flavour(AutopilotFlavour):
         return ACCEPTED
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
-        """Keep a valid setpoint, whatever the mode."""
+        """Keep a valid setpoint in any mode."""
         is_flown = self.is_armed and self.mode is FlightMode.OFFBOARD
         self.setpoints.take(setpoint_from(message, self.aircraft), now_s, is_flown=is_flown)
 
@@ -237,7 +237,7 @@ class Px4Flavour(AutopilotFlavour):
         return self.setpoints.setpoint
 
     def echo(self) -> Echo | None:
-        """Return the target of the position controller; None in modes without one."""
+        """Return the target of the position controller; None in modes without a target."""
         if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
             return None
         pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint

@@ -83,7 +83,7 @@ class WireLink:
         self._link: Link = transports.make_link(spec, 0, self._receive)
 
     def open(self) -> None:
-        """Bind or connect; `LinkError`: it cannot be opened."""
+        """Bind or connect; raise `LinkError` if the link cannot be opened."""
         self._loop.run_until_complete(self._link.open())
         if isinstance(self._spec, transports.TcpClient | transports.SerialPort):
             self._loop.run_until_complete(asyncio.sleep(CONNECT_GRACE_S))

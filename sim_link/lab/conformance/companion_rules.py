@@ -437,7 +437,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(ROUTING)
     def other_vehicles_mode_changes_nothing(self) -> None:
-        """Another vehicle's heartbeat, in whatever mode, neither starts nor stops the stream."""
+        """Another vehicle's heartbeat, in any mode, neither starts nor stops the stream."""
         self._require_undisturbed(mav.Heartbeat(2, 12, 0x81, 0x50000 | 4 << 16, 4, 3), (77, 1))
 
     @book.rule(f"{HEARTBEAT_SERVICE} (heartbeats of others are forwarded)")

@@ -59,7 +59,7 @@ Version = mavlink.MAVLink_autopilot_version_message
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 FORCE_DISARM = 21196.0
-"""Parameter 2 of ARM: whatever it flies."""
+"""Parameter 2 of ARM: disarm even in flight."""
 REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
 TAKE_OFF = mavlink.MAV_CMD_NAV_TAKEOFF
 REBOOT = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN

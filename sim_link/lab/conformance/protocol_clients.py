@@ -25,7 +25,7 @@ ANSWER_S = 2.0
 
 
 class ParameterClient(VehicleProbe):
-    """Reads and writes parameters; what it wrote is known to the baseline."""
+    """Reads and writes parameters, and records changes in the baseline."""
 
     @property
     def float_name(self) -> str:
@@ -70,7 +70,7 @@ class ParameterClient(VehicleProbe):
         return known[name]
 
     def change(self, name: str, value: float) -> Parameter:
-        """Give a parameter another value until the rule is over; return what is reported of it."""
+        """Change a parameter until the rule is over; return the reported value."""
         self.write(name, value, self.remember(name).kind)
         return self.await_value(name)
 
@@ -354,7 +354,7 @@ class SetpointClient(VehicleProbe):
         return self.repeat(lambda: message, period_s)
 
     def enter_offboard(self, setpoint: Setpoint) -> Callable[[], None]:
-        """Let the vehicle follow a streamed setpoint in the air; return what ends the stream."""
+        """Let the vehicle follow a streamed setpoint in the air; return a handle that ends it."""
         stop = self.stream(setpoint)
         self.run(1.2)
         self.require_mode("offboard")

@@ -1,4 +1,4 @@
-"""A vehicle on strings, shown to a companion: it says what a rule wants it to say.
+"""Scripted vehicle for a companion under test: it reports whatever a rule requires.
 
 It has no physics: it hovers where it is sent, and its HEARTBEAT shows the mode that the rule set,
 as an operator would have chosen it.
@@ -124,7 +124,7 @@ class CompanionProbe(Station):
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, SETPOINTS)]
 
     def commands(self, mark: int = 0) -> list[CommandMessage]:
-        """Return the commands that came since a mark."""
+        """Return the commands received since a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, COMMANDS)]
 
     def require_addressed(self, messages: Sequence[CommandMessage | SetpointMessage]) -> None:

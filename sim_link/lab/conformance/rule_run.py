@@ -1,4 +1,4 @@
-"""A run: rules tried one after another on a vehicle that is left as it was, whatever happens.
+"""Run of rules one after another on a vehicle that is restored in any case.
 
 Theory of operation. Every rule has a probe of its own; what all of them touched is written down in
 one `Baseline`. After a rule, passed or not, the vehicle lands, and parameters, stream rates and
@@ -44,7 +44,7 @@ MOST_LANDINGS = 2
 
 
 class Caretaker(PlanClient):
-    """Lands a vehicle and puts back what rules changed."""
+    """Lands a vehicle and restores changes made by rules."""
 
     def put_in_order(self) -> None:
         """Land, then put back all but plans and mode; `Violation`: the vehicle does not do so."""
@@ -101,7 +101,7 @@ class Caretaker(PlanClient):
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Peer under test, and what may be done to it."""
+    """Peer under test, and the permitted actions."""
 
     role: Role = Role.VEHICLE
     flavour: Flavour = Flavour.PX4
@@ -138,7 +138,7 @@ class RuleRun:
 
     @property
     def left_behind(self) -> list[str]:
-        """Return what is not restored on the vehicle, and what to do about it."""
+        """Return everything that was not restored on the vehicle, with the remedy."""
         left = self._baseline.leftovers()
         return left if self._is_in_order else [*left, "not in order: land and disarm the vehicle"]
 

@@ -53,7 +53,7 @@ class Effect(Enum):
     ASKS = "asks"
     """Nothing that outlasts the connection: asks, listens, changes stream rates."""
     CHANGES = "changes"
-    """Overwrites what is stored (plans, parameters, home) or the mode, disarmed."""
+    """Overwrites stored plans, parameters or home, or changes the mode while disarmed."""
     FLIES = "flies"
     """Arms or may arm: propellers off, or a simulator."""
 
@@ -104,7 +104,7 @@ Probe = Callable[[Any], None]
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Rule of the MAVLink protocol, and how it is tried."""
+    """Rule of the MAVLink protocol with its test."""
 
     rule_id: str
     """`group.what_must_hold`."""
@@ -114,7 +114,7 @@ class Rule:
     effect: Effect
     flavours: frozenset[Flavour]
     harms: bool
-    """True if it sends what a weak autopilot may not survive: NaN, absurd values, a reboot."""
+    """True if it sends input that may crash a weak autopilot: NaN, absurd values, a reboot."""
     probe: Probe = field(repr=False)
 
     @property
@@ -242,7 +242,7 @@ def select(rules: Iterable[Rule], role: Role, pattern: str | None = None) -> lis
 
 
 def try_rule(rule: Rule, probe: Any) -> RuleOutcome:
-    """Try one rule with an attached probe, whatever happens."""
+    """Try one rule with an attached probe; every error becomes a verdict."""
     started_s = probe.now_s
     verdict, detail = RuleVerdict.PASS, ""
     try:

@@ -89,7 +89,7 @@ class _Task:
 
 @dataclass(slots=True)
 class Signer:
-    """Signs what a station sends."""
+    """Signs the frames of a station."""
 
     key: bytes
     timestamp: int
@@ -122,7 +122,7 @@ class Station:
         self.on_message: Callable[[Message], None] = lambda _: None
         """Called with each message as it arrives."""
         self.asked = 0
-        """The mark before what was sent last; what is repeated does not count."""
+        """Mark before the last message sent; repetitions do not count."""
         self._pending: deque[bytes] = deque()
         self._is_taking = False
         self._sequence = 0
@@ -177,7 +177,7 @@ class Station:
         )
 
     def repeat(self, build: Callable[[], Message], period_s: float) -> Callable[[], None]:
-        """Send a message now and each period while time passes; what is returned ends it."""
+        """Send a message now and each period; the returned handle ends that."""
         task = _Task(period_s, self.now_s, build)
         self._tasks.append(task)
 
@@ -231,7 +231,7 @@ class Station:
         return len(self.inbox)
 
     def listen(self, duration_s: float) -> list[Heard]:
-        """Advance the time; return what was received meanwhile."""
+        """Advance the time; return the messages received meanwhile."""
         mark = self.mark
         self.run(duration_s)
         return self.inbox[mark:]
@@ -300,7 +300,7 @@ class Station:
                 raise Violation(f"{what or 'not to be sent'}: {brief(message)}")
 
     def frames_since(self, mark: int) -> list[bytes]:
-        """Return the frames in what arrived after this number of pieces."""
+        """Return the frames that arrived after this number of chunks."""
         return cut(b"".join(self.datagrams[mark:]))
 
     def _advance(self, until_s: float) -> None:
@@ -313,7 +313,7 @@ class Station:
                 self._transmit(self._frame_of(task.build(), self.spec()))
 
     def _take(self, pieces: list[bytes]) -> None:
-        """Read what arrived; what an answer of ours calls forth is read after that."""
+        """Read arrivals; replies to our own answers are read after them."""
         self._pending.extend(pieces)
         if self._is_taking:
             return
@@ -388,7 +388,7 @@ class Baseline:
     serves_one_client: bool = False
 
     def leftovers(self) -> list[str]:
-        """Return what is not restored, and what to do about it."""
+        """Return everything that was not restored, with the remedy."""
         left = [
             f"{p.name} is not restored: set it to {p.value:.9g}" for p in self.parameters.values()
         ]

@@ -193,7 +193,7 @@ class VehicleProbe(Station):
         return result
 
     def restore_intervals(self) -> None:
-        """Set all rates that were changed to what they were."""
+        """Restore all changed rates."""
         for number, interval_s in sorted(self.baseline.intervals.items()):
             self._set_interval(number, interval_s)
         self.baseline.intervals.clear()
@@ -273,7 +273,7 @@ class VehicleProbe(Station):
         self.heartbeat(lambda m: m.custom_mode == wanted, within_s, f"in {mode}")
 
     def await_disarmed(self, within_s: float) -> None:
-        """Advance the time until a HEARTBEAT says disarmed."""
+        """Advance the time until a HEARTBEAT reports disarmed."""
         self.heartbeat(lambda m: not m.base_mode & mav.ARMED, within_s, "of a disarmed vehicle")
 
     def set_mode(self, mode: str) -> int:

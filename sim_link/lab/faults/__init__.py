@@ -1,1 +1,1 @@
-"""Faults as values, and what applies them: to a flight in memory or to real processes."""
+"""Faults as values, and their application to flights in memory or to real processes."""

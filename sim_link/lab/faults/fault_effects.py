@@ -31,7 +31,7 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 class FaultEffect(Generic[F]):
     """One fault, in one direction where it has one, until its end on the caller's clock.
 
-    Its record says what it does. A key signs changed frames again; None: no signing.
+    Effect described by its record. With a key changed frames are signed again.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class FaultEffect(Generic[F]):
         self._key = key
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:  # noqa: ARG002
-        """Return what arrives of one datagram that is sent at `now_s`, given what would."""
+        """Return the deliveries of a datagram sent at `now_s`, given those without this fault."""
         return [each for due_s, data in deliveries for each in self._pass(data, due_s)]
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        """Return what arrives of one delivery; by default nothing."""
+        """Return the deliveries that replace one delivery; by default none."""
         del data, due_s
         return []
 
@@ -72,7 +72,7 @@ class _Bursts(FaultEffect[faults.LinkBursts]):
     _until_s: float | None = None
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """Lose what falls into a bad time."""
+        """Drop deliveries that fall into a bad period."""
         fault = self.fault
         if self._until_s is None:
             self._until_s = now_s + float(self._rng.exponential(fault.mean_good_s))
@@ -290,7 +290,7 @@ class _WrongUnit(ContentEffect[faults.RangingWrongUnit]):
 
 class _Outliers(ContentEffect[faults.RangingOutliers]):
     SHORTEST_M = 0.1
-    """A range stays one, however much is taken away."""
+    """Least range after a fault has shortened it, metres."""
     _left = 0
     """Answers of the present burst that are still to come."""
 
@@ -331,7 +331,7 @@ class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
     _vehicle_ned_m: tuple[float, float, float] | None = None
 
     def watch(self, data: bytes) -> None:
-        """Learn where the vehicle is from what it says."""
+        """Track the vehicle's position from its own reports."""
         if _number_of(data) == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
             rewrite_frame(data, self._note_place, self._key)
 

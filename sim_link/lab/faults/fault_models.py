@@ -1,4 +1,4 @@
-"""Every fault as a frozen record: what goes wrong, when, and for how long.
+"""Every fault as a frozen record: its kind, beginning and duration.
 
 The same records drive the link in memory, the UDP proxy and the injector; a YAML file names one by
 its `kind`: `{kind: link_loss, share: 0.3, start_s: 20, duration_s: 5}`. Times are seconds since the
@@ -92,7 +92,7 @@ class LinkGarbage(LinkFault, frozen=True, tag="link_garbage"):
 
 
 class LinkRateCap(LinkFault, frozen=True, tag="link_rate_cap"):
-    """A slow link with a queue; what does not fit into the queue is lost."""
+    """Slow link with a queue; datagrams that do not fit are lost."""
 
     bits_per_s: Positive = 57_600.0
     queue_bytes: Annotated[int, msgspec.Meta(ge=1, le=10_000_000)] = 4096
@@ -144,7 +144,7 @@ class RangingOutliers(ContentFault, frozen=True, tag="ranging_outliers"):
     share: Share = 0.3
     """Share of the measurements outside of bursts that begin one."""
     excess_m: Length = 40.0
-    """Mean of what is added to the range; negative: ranges are too short, as no reflection is."""
+    """Mean addition to the range; negative: too short, which no reflection causes."""
     is_bearing_hit: bool = True
     burst: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 1
 
@@ -290,6 +290,6 @@ class Schedule(Params, frozen=True):
 
 
 def fault_from(fields: dict[str, object]) -> Fault:
-    """Return the fault that a mapping names by its `kind`, or a msgspec.ValidationError."""
+    """Convert a mapping to the fault of its `kind`; raise `msgspec.ValidationError` if invalid."""
     fault: Fault = msgspec.convert(fields, Fault)
     return fault

@@ -129,7 +129,7 @@ class Attacker:
         self._heard: deque[bytes] = deque(maxlen=MEMORY)
 
     def overhear(self, frame: bytes) -> None:
-        """Remember what the vehicle sent."""
+        """Remember the vehicle's messages."""
         self._heard.append(frame)
 
     def next(self, fault: faults.SecurityFault) -> bytes | None:
@@ -330,7 +330,7 @@ class FaultProxy(OneShotEndpoint):
         return min(self._next_s, self._queue[0][0]) if self._queue else self._next_s
 
     def handle_timer(self, now_s: float) -> None:
-        """Deliver what is due, and attack."""
+        """Deliver due datagrams, and attack."""
         elapsed_s = now_s - self.now_s
         super().handle_timer(now_s)
         while self._queue and self._queue[0][0] <= now_s:
@@ -376,7 +376,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry datagrams until asked to stop; a ConfigError or LinkError for what is bad input."""
+    """Carry datagrams until asked to stop; raise ConfigError or LinkError for bad input."""
     schedule = _schedule(arguments.fault, arguments.faults)
     listen = udp_address("--listen", arguments.listen)
     companion = udp_address("--companion", arguments.companion)

@@ -178,7 +178,7 @@ def _charts(result: MissionResult) -> list[Chart | None]:
 
 @dataclass(frozen=True, slots=True)
 class FlightTask:
-    """One flight that is to be flown."""
+    """One flight of a batch."""
 
     mission: Mission
     file: str
@@ -260,7 +260,7 @@ class MissionBatch:
         return tasks
 
     def _load(self, path: Path) -> list[Mission]:
-        """Return the script, once for every autopilot that it is to be flown on."""
+        """Return the script once for each autopilot to fly it on."""
         mission = load_mission(path)
         flavours = flavours_of(mission, str(path))
         if self.connect is not None:
@@ -317,7 +317,7 @@ def check_flyable(mission: Mission, name: str) -> None:
 
 
 def warm_up(tasks: Sequence[FlightTask]) -> None:
-    """Compile what the flights need, once and before any process needs it at the same time."""
+    """Compile the kernels of the flights once, before several processes need them."""
     done: list[CompanionConfig] = []
     for config in (flown_config(task.mission) for task in tasks if IS_COMPILED_ON_CALL):
         if config not in done:
@@ -355,7 +355,7 @@ def fly_all(
 
 
 def fly_task(task: FlightTask, progress: Progress | None = None) -> MissionResult:
-    """Fly one, and write its report; what goes wrong with that is the result's error."""
+    """Fly one, and write its report; failures of the report become the result's error."""
     if task.misfit:
         record = FlightRecord(autopilot="vehicle" if task.connect else "", skipped=task.misfit)
         return MissionResult(task.mission, task.file, task.seed, task.how, record)

@@ -158,7 +158,7 @@ MAX_LENGTH = 1000
 
 
 class ConditionError(ValueError):
-    """A condition is wrong; the message says where in the text and what is known instead."""
+    """Invalid condition; the message gives the position in the text and the known names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ class _Part:
     words: tuple[str, ...] = ()
     """Possible values of a field that is a word."""
     word: str | None = None
-    """The word itself, where it is none of the fields."""
+    """Literal word of an operand that is not a field."""
 
 
 def parse_condition(text: str) -> Condition:

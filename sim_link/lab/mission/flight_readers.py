@@ -273,11 +273,11 @@ MACHINE_S = 0.25
 
 
 class WireWatch:
-    """Records what passes the hub at a speed, in seconds of the flight per second."""
+    """Records the hub's traffic at a speed in seconds of the flight per second."""
 
     def __init__(self, speed: float) -> None:
         self.recording = Recording()
-        """Knows also of the companion's process."""
+        """Recording that also observes the companion's process."""
         self._machine_s = MACHINE_S * speed
         self._late_s = 0.0
         self._looked_s: float | None = None
@@ -307,7 +307,7 @@ class WireWatch:
         self._events.clear()
 
     def judge(self, config: CompanionConfig, record: FlightRecord) -> None:
-        """Say in the record what was found, and what was judged."""
+        """Write findings and verdicts to the record."""
         monitor = WireMonitor(rules_of(config), self.slack_s)
         self.recording.play(monitor)
         record.scope, record.slack_s, record.late_s = WIRE, self.slack_s, self._late_s

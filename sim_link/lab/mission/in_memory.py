@@ -1,8 +1,8 @@
-"""Flies a mission in lockstep: companion and vehicle in this process, on invented time.
+"""Flies a mission in lockstep: companion and vehicle in this process, on simulated time.
 
-Theory of operation. Time passes in slices of 0.1 s: the flight is let run through one, then the
-step runner looks at the situation and asks for what is due. Nothing depends on the real clock, so
-a mission is repeated bit by bit by its seed.
+Theory of operation. Time advances in slices of 0.1 s: the flight runs through one, then the
+step runner evaluates the situation and requests the actions that are due. Nothing depends on the
+real clock, so the same seed repeats a mission bit by bit.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _quiet(mission: Mission) -> Scenario:
 
 
 class _Watcher(Observer):
-    """Keeps and counts messages, and hears what the autopilot says."""
+    """Keeps and counts messages, and collects the autopilot's texts."""
 
     def __init__(self, record: results.FlightRecord, reader: EventReader) -> None:
         self._record = record

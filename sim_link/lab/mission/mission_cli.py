@@ -250,7 +250,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly what the arguments name; return the exit code. Errors are raised before the start."""
+    """Fly the missions of the arguments; return the exit code. Errors come before the start."""
     campaign = _campaign(arguments)
     if campaign.reports is not None:
         batch.check_reports(campaign.reports)

@@ -76,7 +76,7 @@ def fly_over_udp(
     keep: Path | None = None,
     progress: Progress | None = None,
 ) -> MissionResult:
-    """Fly a mission once, at `speed` seconds per second, or what this computer keeps up with.
+    """Fly a mission once, at `speed` seconds per second or as fast as this computer manages.
 
     The speed of a vehicle to `connect` to cannot be changed; that of a simulated one is lowered.
     The seed is of a simulated vehicle, which is started unless a link to `connect` to is given, its
@@ -170,7 +170,7 @@ class _UdpFlight:
         self._tlog.close()
 
     def judge(self) -> None:
-        """Look for violations of the invariants in what was recorded."""
+        """Look for violations of the invariants in the recording."""
         self._watched.date_events(self._offset_s)
         self._watched.judge(flown_config(self._mission), self.record)
         self.record.situation.companion.violations = len(self.record.violations)

@@ -78,7 +78,7 @@ class Hub:
         self.is_finished = False
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Route what arrived, frame by frame."""
+        """Route arrivals frame by frame."""
         if chunk.peer is not None:
             self._peers[chunk.link] = chunk.peer
         splitter = self._splitters[chunk.link].splitter
@@ -109,7 +109,7 @@ class Hub:
         self._output.append(Chunk(link, data, self._peers.get(link)))
 
     def handle_timer(self, now_s: float) -> None:
-        """Deliver what was late, and look at the mission when that is due."""
+        """Deliver delayed frames, and step the mission when due."""
         while self._late and self._late[0][0] <= now_s:
             _, _, link, data = heapq.heappop(self._late)
             self._send(link, data, now_s)
@@ -261,7 +261,7 @@ class MavsdkOperator:
         self.autopilot = Autopilot.OTHER
         """Set by the observer of the vehicle: mode numbers differ between autopilots."""
         self.is_armed = False
-        """Set by the observer of the vehicle."""
+        """Arming state, set by the observer of the vehicle."""
 
     async def __aenter__(self) -> MavsdkOperator:
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -302,7 +302,7 @@ class MavsdkOperator:
         return refusal
 
     async def _find(self) -> None:
-        """Find the autopilot and begin to watch it; `CompanionError`: there is none."""
+        """Find the autopilot and begin to watch it; raise `CompanionError` without one."""
         from mavsdk.asyncio.plugins.action import ActionAsync
         from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync
         from mavsdk.asyncio.plugins.telemetry import TelemetryAsync

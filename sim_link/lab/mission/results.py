@@ -123,8 +123,8 @@ class FlightRecord:
     def last_estimate(self, emitter: int) -> EstimatePoint | None:
         """Return the last estimate of an emitter before its report.
 
-        On its way home a vehicle goes on measuring, low and behind whatever stands there. Whatever
-        has no id is of every emitter.
+        A vehicle continues to measure on its way home, at low height and behind obstacles. Records
+        without an id apply to every emitter.
         """
         report = self.report_of(emitter)
         until_s = math.inf if report is None else report.time_s
@@ -341,7 +341,7 @@ class MissionResult:
     verdicts: tuple[ExpectationVerdict, ...] = ()
     """Empty: it did not come to an end."""
     report: str = ""
-    """Path of the report; empty: there is none."""
+    """Path of the report; empty without one."""
     error: str = ""
     """Reason why it did not finish or has no report; empty: nothing went wrong."""
 
@@ -409,7 +409,7 @@ class MissionResult:
 
     @property
     def doubt(self) -> str:
-        """Hint that the machine may have caused the failure, and what to do; empty: none."""
+        """Hint that the machine may have caused the failure, with a remedy; empty if not."""
         if self.is_passed or self.record.skipped or self.record.late_s <= BUSY_S:
             return ""
         return (

@@ -1,4 +1,4 @@
-"""The mission script: what one flight is made of, what is done, and what must come of it.
+"""Mission script: scenario, steps and expected results of one flight.
 
 A script is a scenario (place, vehicle, emitters, channel, obstacles, weather; all its keys are the
 script's own) with the companion's configuration, steps and expectations, each of which has a name
@@ -67,7 +67,7 @@ def _one_given(record: Params, what: str) -> str:
 
 
 class EmitterBound(Bound, frozen=True):
-    """A bound on what concerns one emitter."""
+    """Bound on a figure of one emitter."""
 
     emitter: EmitterId | None = None
     """Id of the emitter; null: the scenario's `emitter`."""
@@ -204,7 +204,7 @@ class SearchStep(StepParams, frozen=True):
     spacing_m: Spacing | None = None
     """Between lanes or legs; null: the companion's own."""
     area_enu_m: tuple[Corner, ...] | None = None
-    """Corners of what a lawnmower sweeps; null: the companion's own."""
+    """Corners of the area that a lawnmower sweeps; null: the companion's own."""
     until: Literal["contact", "reported"] = "contact"
     limit_s: Limit = 120.0
 
@@ -296,7 +296,7 @@ STEP_KINDS: dict[str, type[StepParams]] = {
 
 
 class Mission(Scenario, frozen=True, kw_only=True):
-    """One flight from the first frame to the verdict; beside these all keys of a scenario."""
+    """Script of one flight, from the first frame to the verdict; adds to the keys of a scenario."""
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
     about: str = ""

@@ -43,7 +43,7 @@ STEPS = (*STEP_KINDS, "inject")
 ONE_LINE = "must be one line"
 MISSING = "required key is missing"
 Problem = tuple[str, str]
-"""A path in the script, and what is wrong there."""
+"""Path in the script, and the error there."""
 
 
 def load_mission(path: Path) -> Mission:
@@ -145,7 +145,7 @@ def _split_problems(message: str, name: str) -> list[Problem]:
 
 
 def _with_hint(path: str, problem: str) -> str:
-    """Return the problem, and what may have been meant where a name is not known."""
+    """Return the problem, with a suggestion for an unknown name."""
     misspelt = _UNKNOWN_STEP.match(path)
     if misspelt is not None and problem.startswith("unknown key"):
         return _unknown("step", misspelt["name"], STEPS)

@@ -46,7 +46,7 @@ class MissionOperator(Protocol):
     """The operator at the ground station."""
 
     def ask(self, action: Action) -> None:
-        """Begin something; the one before is forgotten if it is not over."""
+        """Begin an action; an unfinished previous one is dropped."""
 
     def take_refusal(self) -> str | None:
         """Take the reason of the last refusal; None: not refused (yet)."""
@@ -108,7 +108,7 @@ class StepRunner:
         return number, len(self._steps), name
 
     def tick(self, now_s: float) -> None:
-        """Look at the situation, and do what is due."""
+        """Evaluate the situation, and take the actions that are due."""
         self._situation.mission.time_s = now_s
         while not self.is_over:
             current = self._current or self._begin(now_s)
@@ -205,7 +205,7 @@ class _RunningStep:
 
 ALWAYS = parse_condition("true")
 CONNECTED = parse_condition("vehicle.mode == vehicle.mode and companion.phase == companion.phase")
-"""Both are known: what is unknown equals nothing, not even itself."""
+"""True once both are known, because an unknown value equals nothing, not even itself."""
 ARMED, DISARMED = parse_condition("vehicle.is_armed"), parse_condition("not vehicle.is_armed")
 IN_CONTROL = parse_condition("companion.is_in_control")
 GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")

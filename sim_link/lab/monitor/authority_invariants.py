@@ -32,7 +32,7 @@ RAISES = (
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
     mavlink.MAV_CMD_NAV_TAKEOFF,
 )
-"""Commands that take control, or change who has it."""
+"""Commands that take or transfer control."""
 FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
 RECOVERY_S = 2.0
@@ -61,7 +61,7 @@ class OnlyWithAuthority(Invariant):
     _aside_s: float | None = None
     """Since when another mode is shown without a failsafe after control was lost."""
     _is_barred = False
-    """Only a grant frees what was lost."""
+    """Control that was lost returns only by a grant."""
     _given_s = -1.0
     """Time at which a person selected the mode again after its loss, or since the process began."""
     _may_engage = True
@@ -221,7 +221,7 @@ class KeepsStreaming(Invariant):
         self._frame_sent_at = scene.observed.frame_sent_at
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
-        """Follow what the companion claims to be."""
+        """Track the state that the companion reports."""
         if kind == "phase":
             self._is_stalled |= not self._is_in_control
             self._is_in_control = fields.get("new") in self.PHASES
@@ -311,7 +311,7 @@ BY_A_PERSON = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET"}
 
 
 class FewTexts(Invariant):
-    """A text with the same words, whatever its figures, does not come twice within 30 s.
+    """A text with the same words and other figures does not come twice within 30 s.
 
     What a person did since allows it once more: a changed mode, arming, or an order that was heard.
     """

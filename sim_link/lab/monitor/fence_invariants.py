@@ -79,7 +79,7 @@ CONTROL_FADES_S = 5.0
 """So long after it was in control the companion answers for where the vehicle is; so long after it
 was not, a motion may be of what the vehicle did before."""
 OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
-"""Modes that fly our setpoints, or only brake what they began."""
+"""Modes that fly our setpoints, or brake the motion that these began."""
 FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
@@ -178,7 +178,7 @@ class InsideFence(SetpointsInside):
         """A fence or control came when the vehicle could not stop before the border any more."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Judge it by what is true, too."""
+        """Check it against the true state, too."""
         super().setpoint(setpoint)
         chased_m = self._jumps.chased_m(setpoint)
         if chased_m is not None:
@@ -243,7 +243,7 @@ class InsideFence(SetpointsInside):
             self._is_caught = depth < rules.clearance_m
 
     def _watch_mode(self) -> None:
-        """Note the mode: the first after ours brakes what we began, others start over."""
+        """Note the mode: the first after ours brakes our motion, others start a new one."""
         mode, before = self._truth.vehicle.flavour.mode, self._mode
         self._has_left |= self._has_yielded and mode is not FlightMode.OFFBOARD
         if mode is FlightMode.OFFBOARD and self._is_ours:
@@ -298,7 +298,7 @@ class PlacesOnly(Invariant):
     title = "every setpoint may be the last one"
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Judge what it asks for."""
+        """Check the requested setpoint."""
         mask = getattr(setpoint.message, "type_mask", None)
         if mask not in (POSITION_ONLY, POSITION_AND_YAW):
             self.report("a setpoint that is no place", mask=float(mask or 0))

@@ -123,7 +123,7 @@ class Proof:
         self._secret = key.secret
         self._newest: dict[tuple[int, int], int] = {}
         self._before: tuple[tuple[int, int], int] | None = None
-        """Sender of the frame that was accepted last, and what was its newest before that."""
+        """Sender of the last accepted frame, and its previous newest timestamp."""
 
     def accepts(self, frame: bytes) -> bool:
         """Return True if the frame is signed with the key and newer than all of its sender."""

@@ -38,7 +38,7 @@ class WithinEnvelope(Invariant):
         self._velocity: Point | None = None
         """Velocity of the setpoint, once there were two."""
         self._vehicle: Point | None = None
-        """Reported vehicle position when the setpoint before was sent."""
+        """Reported vehicle position when the previous setpoint was sent."""
 
     def started(self) -> None:
         """Begin a new stream at the start of a process."""
@@ -166,7 +166,7 @@ class FreshState(Invariant):
         self._last = None
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
-        """Judge whether it moved, and what it stands on."""
+        """Check whether the setpoint moved, and the age of its position."""
         last, self._last = self._last, setpoint
         observed = self.scene.observed
         age_s = math.inf if observed.position_s is None else self.scene.now_s - observed.position_s
@@ -373,7 +373,7 @@ class OnlyProvedFrames(Invariant):
 
 
 class Repeatable(Invariant):
-    """The digest of all that was sent: the same seed must give the same."""
+    """Digest of everything sent; the same seed must give the same digest."""
 
     name = "I12"
     title = "the same seed gives the same bytes"

@@ -213,7 +213,7 @@ class FrameMonitor(Observer):
 
 
 class Monitor(FrameMonitor):
-    """Watches one flight of which the truth is known; I10 needs snapshots of the companion's state.
+    """Watches a flight with known truth; I10 needs snapshots of the companion's state.
 
     The key is that of a signed link; `dropped` is how many frames were dropped unread so far.
     """

@@ -43,7 +43,7 @@ class Rules(Params, frozen=True):
     acceleration_mps2: Positive = 2.5
     step_m: Positive = 8.0
     latency_s: NonNegative = 0.5
-    """Delay from the measurement of a motion to the setpoint that is obeyed."""
+    """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     navigation_sigma_m: NonNegative = 0.3
     state_age_s: Positive = 0.5
     """An own position older than this is not flown on."""
@@ -352,7 +352,7 @@ class TrueScene(ObservedScene):
     vehicle: SimVehicle = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        """Begin with the vehicle as it stands."""
+        """Begin with the present state of the vehicle."""
         self.look_at(self.vehicle)
 
     def look_at(self, vehicle: SimVehicle) -> None:
@@ -372,7 +372,7 @@ class TrueScene(ObservedScene):
 
 
 class Invariant:
-    """One invariant of one flight; a subclass overrides what it looks at."""
+    """Invariant of one flight; a subclass overrides the handlers of the events it needs."""
 
     name = "I0"
     title = ""

@@ -1,4 +1,4 @@
-"""The monitor of real processes: what was recorded on the wire, played back and judged.
+"""Monitor of real processes: plays back and judges the recorded frames.
 
 Theory of operation. The vehicle is what it says of itself, and only invariants are asked that need
 no more (see `monitor.WIRE`). Times are those at which frames passed the recorder; on a busy machine
@@ -45,7 +45,7 @@ class Recording(Observer):
         self._seen: list[tuple[float, str, tuple[Any, ...]]] = []
 
     def play(self, observer: Observer) -> None:
-        """Show everything; what happened at the same time in the order of its coming."""
+        """Show everything; simultaneous events in order of arrival."""
         for _, what, values in sorted(self._seen, key=lambda seen: seen[0]):
             getattr(observer, what)(*values)
 
@@ -84,7 +84,7 @@ class Recording(Observer):
 
 
 STALLED = "control loop stalled"
-"""So begins what a companion says that got no time: it is silent until it knows who flies."""
+"""Beginning of the text after a stall: the companion is silent until it knows the mode."""
 
 
 TIMES = ("answer_s", "gap_s", "state_age_s", "latency_s")
@@ -100,7 +100,7 @@ def widen_rules(rules: Rules, slack_s: float) -> Rules:
 
 @dataclass(slots=True)
 class HeardScene(ObservedScene):
-    """A scene in which the vehicle is what it says of itself."""
+    """Scene in which the vehicle's own reports are the truth."""
 
     _is_armed: bool = False
     _is_in_air: bool = False
@@ -158,7 +158,7 @@ class HeardScene(ObservedScene):
 
 
 class WireMonitor(FrameMonitor):
-    """Watches one flight by what passed the recorder, where a frame may be late by some slack."""
+    """Watches a flight by its recording, in which a frame may be late by some slack."""
 
     def __init__(self, rules: Rules, slack_s: float) -> None:
         self.scene = scene = HeardScene(widen_rules(rules, slack_s))

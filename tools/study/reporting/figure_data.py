@@ -44,7 +44,7 @@ COMPARED = (
     *(System("admm", "passive"), System("huber", "passive"), PASSIVE, System("huber", "fim")),
     *(FIM, FIM_PRINTED, REACTIVE, CROSSING, BEST),
 )
-"""The systems of the paper's figures, and ours."""
+"""Systems compared in the figures: the paper's, then ours."""
 BOUNDED = (PASSIVE, BEST)
 """Systems whose Cramer-Rao bound is drawn."""
 FLOWN = (PASSIVE, REACTIVE, BEST, FIM)

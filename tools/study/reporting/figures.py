@@ -28,7 +28,7 @@ NEAR_M = 4.0
 NEAR_SHARE = 0.36
 """Share of the map's side that they take."""
 NEAR_STEPS = 60
-"""The last steps, which are what is drawn there."""
+"""Last steps, the ones drawn there."""
 
 
 def tracks(flights: Sequence[Flight], case: Case) -> Figure:

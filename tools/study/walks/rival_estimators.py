@@ -193,7 +193,7 @@ def factor_graph(batch: Batch, rng: np.random.Generator, *, is_one_sided: bool) 
 
 def _factor(batch: Batch, which: int) -> Callable[[Any, Any, Any], Vector]:
     def error(_: Any, values: Any, jacobians: Any) -> Vector:
-        """Return predicted minus measured in sigma, as GTSAM has it, and fill in the Jacobian."""
+        """Return predicted minus measured in sigma, as GTSAM does, and fill in the Jacobian."""
         state = np.asarray(values.atVector(0), dtype=float)
         if jacobians is not None:
             jacobians[0] = -_jacobian(lambda at: batch.residuals(at)[which], state)

@@ -48,7 +48,7 @@ AnyJob = TypeVar("AnyJob")
 HELD_SHARE = 0.94
 """Share of claims of *localised* that must be inside R95."""
 NOTHING_M = 1e9
-"""Error of a target of which nothing is said."""
+"""Error of a target without an estimate."""
 
 Variant = tuple[float, ...]
 """A value of each key, in the order of `TRIED`."""

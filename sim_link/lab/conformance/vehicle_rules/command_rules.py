@@ -36,13 +36,13 @@ SetMode = mavlink.MAVLink_set_mode_message
 
 
 class CommandRules(VehicleProbe):
-    """Commands on the ground, and what is asked for by them."""
+    """Commands on the ground, and the messages they request."""
 
     book = RuleBook("commands")
 
     @book.rule(SERVICE)
     def unknown_command_is_unsupported(self) -> None:
-        """An unknown command is acknowledged as UNSUPPORTED, LONG and INT."""
+        """An unknown COMMAND_LONG or COMMAND_INT is acknowledged as UNSUPPORTED."""
         self.require_result(mav.UNSUPPORTED, UNKNOWN_COMMAND)
         result = self.command_int(UNKNOWN_COMMAND, mavlink.MAV_FRAME_GLOBAL)
         require(result == mav.UNSUPPORTED, f"COMMAND_INT: result {result}")
@@ -98,7 +98,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(MESSAGES)
     def unavailable_message_is_refused(self) -> None:
-        """REQUEST_MESSAGE of what there is not is refused: DENIED, UNSUPPORTED or FAILED."""
+        """REQUEST_MESSAGE of an unknown message is refused: DENIED, UNSUPPORTED or FAILED."""
         self._require_unavailable(9_999.0, 16_777_215.0)
 
     @book.rule(MESSAGES, harms=True)
@@ -131,7 +131,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(INTERVAL_REPORTED)
     def interval_is_reported(self) -> None:
-        """MESSAGE_INTERVAL reports what was set, by command 510 and by REQUEST_MESSAGE."""
+        """MESSAGE_INTERVAL reports the interval set, by command 510 and by REQUEST_MESSAGE."""
         result = self.set_interval(mav.Attitude, 0.2)
         require(result == mav.ACCEPTED, "SET_MESSAGE_INTERVAL")
         for number, first in ((GET_INTERVAL, ATTITUDE_ID), (mav.REQUEST, 244.0)):
@@ -271,7 +271,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(SERVICE, effect=CHANGES)
     def cancelling_nothing_does_no_harm(self) -> None:
-        """COMMAND_CANCEL of what is not running does no harm."""
+        """COMMAND_CANCEL of a command that is not running has no effect."""
         self._cancel()
         self.require_hearing()
 

@@ -321,7 +321,7 @@ class RoutingRules(ParameterClient):
 
     @book.rule(ROUTING)
     def reboot_of_a_system_clears_its_routes(self) -> None:
-        """A system whose SYSTEM_TIME goes back has rebooted: what was behind it is forgotten."""
+        """A system whose SYSTEM_TIME goes back has rebooted: components behind it are forgotten."""
         other = self.another(42, 1, ONBOARD)
         behind = Station(other.link, 42, 7, None)
         behind.send(heartbeat(CAMERA))
@@ -362,6 +362,6 @@ def text_message(text: bytes) -> Message:
 
 
 def frames_at(station: Station, mark: int, containing: bytes) -> list[bytes]:
-    """Return the frames with certain bytes in them that a station got since `mark`."""
+    """Return the frames received by a station since `mark` that contain these bytes."""
     station.run(SETTLE_S)
     return [frame for frame in station.frames_since(mark) if containing in frame]

@@ -1,4 +1,4 @@
-"""Take-off, landing, return and reposition; what a vehicle does by itself in a failsafe."""
+"""Take-off, landing, return, reposition and reactions to failsafes."""
 
 from __future__ import annotations
 

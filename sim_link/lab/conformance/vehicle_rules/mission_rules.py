@@ -58,7 +58,7 @@ class MissionRules(PlanClient):
 
     @book.rule(SERVICE, flavours=ARDUPILOT)
     def item_zero_is_home(self) -> None:
-        """Item 0 is home, whatever is uploaded there."""
+        """Item 0 is home, regardless of the item uploaded there."""
         home = self.home()
         items = self.square(2)
         items[0] = waypoint(123_456_789, 98_765_432, 77.0)
@@ -103,7 +103,7 @@ class MissionRules(PlanClient):
 
     @book.rule(SERVICE)
     def plans_are_stored_apart(self) -> None:
-        """A fence and rally points leave the mission as it is, and the other way round."""
+        """Uploads of fence and rally points leave the mission unchanged, and vice versa."""
         wanted = self.prepare()
         self.require_upload(self.circle(), mav.FENCE)
         self.require_upload(self.rally(), mav.RALLY)

@@ -145,7 +145,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(ERRORS)
     def unknown_index_is_an_error(self) -> None:
-        """Reading an index that there is not is answered by PARAM_ERROR."""
+        """Reading an index that does not exist is answered by PARAM_ERROR."""
         for index in (30_000, 32_767):
             self.request_read("", index)
             self._require_unknown(f"index {index}")

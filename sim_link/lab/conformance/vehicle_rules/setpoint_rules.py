@@ -1,4 +1,4 @@
-"""Setpoints, and the modes that fly them: what OFFBOARD and GUIDED need, and what ends each."""
+"""Setpoints, and the conditions that begin and end OFFBOARD and GUIDED."""
 
 from __future__ import annotations
 

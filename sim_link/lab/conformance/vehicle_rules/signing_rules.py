@@ -128,7 +128,7 @@ class SigningRules(FrameProbe):
 
     @book.rule(SIGNING)
     def everything_is_sent_signed(self) -> None:
-        """With a key the vehicle signs what it sends, from the start, in MAVLink 2."""
+        """With a key the vehicle signs everything it sends, from the start, in MAVLink 2."""
         for entry, signature in self._signatures_after(LISTEN_S):
             name = entry.message.get_type()
             require(entry.frame[0] == mav.MAGIC_V2, f"{name} is sent in MAVLink 1")
@@ -137,7 +137,7 @@ class SigningRules(FrameProbe):
 
     @book.rule(SIGNING)
     def own_timestamps_only_rise(self) -> None:
-        """The timestamps of what is sent rise with every frame of a component and link id."""
+        """Timestamps rise with every frame of a component and link id."""
         last: dict[int, int] = {}
         for _, signature in self._signatures_after(LISTEN_S):
             if signature is not None:

@@ -1,4 +1,4 @@
-"""Streams, their rates, and what telemetry says."""
+"""Streams, their rates and their contents."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class StreamRules(VehicleProbe):
 
     @book.rule("PX4 1.15, observed in SITL; MAVSDK telemetry_impl.cpp", flavours=PX4)
     def default_streams_flow(self) -> None:
-        """Unasked, what clients stand on flows at its least rate."""
+        """Streams that clients rely on arrive unrequested, at their minimum rate or faster."""
         self.await_prearm()
         counts = self._rates()
         for name, rate_hz in self.notes.rates_hz.items():

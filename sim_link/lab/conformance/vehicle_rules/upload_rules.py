@@ -1,4 +1,4 @@
-"""Uploads that go wrong, what plans are refused for, and geofences."""
+"""Failing uploads, reasons to refuse plans, and geofences."""
 
 from __future__ import annotations
 
