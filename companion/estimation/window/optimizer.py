@@ -37,14 +37,10 @@ from companion.estimation.window.map_kernels import (
     has_any,
     row_vector,
 )
+from companion.estimation.window.observability import Observability, mirrored, observability_of
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.rivals import Optimum, weigh_optima
-from companion.estimation.window.sandwich import (
-    Observability,
-    is_all_white,
-    mirrored,
-    observability_of,
-)
+from companion.estimation.window.sandwich import is_all_white
 from companion.estimation.window.shadows import shadow_weights
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,

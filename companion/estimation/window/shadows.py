@@ -1,4 +1,6 @@
-"""Shadows of received power: the weights that they leave to measurements, and their variance.
+"""Errors that repeat by position: of every modality, and the shadows of received power.
+
+A radio's ranges and bearings are fitted (`place_noise`), shadows are known beforehand.
 
 What stands between emitter and vehicle weakens all measurements from about the same place. In dB
 these shadows are a random field over positions with covariance s^2 exp(-d / l), to which fading
@@ -18,6 +20,8 @@ Biometrika 73 (1986), for weights that need not be those of the true covariance.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,11 +30,18 @@ from companion.estimation.filters.target_filter import (
     POWER_PLACE_SIGMA_DB,
     POWER_SIGMA_DB,
     POWER_TOTAL_SIGMA_DB,
+    FilterParams,
 )
-from companion.estimation.measurement_model import POWER
-from companion.estimation.window.map_kernels import POWER_VALUE, POWER_WEIGHT
-from companion.estimation.window.place_noise import CELL_SHARE, SpatialNoise
-from companion.estimation.window.sandwich import Scores, student_ratio
+from companion.estimation.measurement_model import BEARING, POWER, RANGE
+from companion.estimation.window.map_kernels import POWER_VALUE, POWER_WEIGHT, SIGMAS
+from companion.estimation.window.place_noise import (
+    CELL_SHARE,
+    SpatialNoise,
+    SpatialPrior,
+    clipped_deviation,
+    fit_spatial_noise,
+)
+from companion.estimation.window.sandwich import Scores, SpatialNoises, student_ratio
 from companion.kernel import Matrix, Vector
 
 
@@ -99,3 +110,38 @@ def absorbed_share(
     fitted = gain @ unit.variance(weighed) @ gain @ (partials.T @ partials)
     count = np.count_nonzero(unit.cell >= 0)
     return float(2.0 * np.trace(crossed) - np.trace(fitted)) / count
+
+
+def spatial_noises(
+    rows: Matrix, scores: Scores, params: FilterParams, prior: Matrix
+) -> SpatialNoises:
+    """Return the spatial noise of every modality; None: its errors are white.
+
+    It is that of the residuals of `scores`, beside the radio's parameters. `prior` (k, k) is the
+    information of the state's prior.
+    """
+    thresholds = params.thresholds.tolist()
+    found: list[SpatialNoise | None] = [None] * len(thresholds)
+    for m in scores.measured:
+        if m == POWER:
+            found[m] = shadow_noise(rows, scores, prior)
+            continue
+        sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
+        ratio = params.place_sigmas[min(m, BEARING)] / sigma
+        if ratio == 0.0 and scores.correlations[m] == 0.0:
+            continue
+        psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
+        deviation = clipped_deviation(ratio, *thresholds[m])
+        if ratio == 0.0:
+            deviation = float(np.sqrt(np.nanmean(psi**2)))
+        length_m = params.range_length_m if m == RANGE else params.place_length_m
+        spatial_prior = SpatialPrior(deviation, length_m, is_of_radio=ratio > 0.0)
+        H, slope = scores.part(m), scores.slopes[m]
+        noise = fit_spatial_noise(rows[:, :2], psi, H, slope, prior, spatial_prior)
+        # a target that moved looks like spatial noise: keep the full weight
+        found[m] = noise if ratio > 0.0 else replace(noise, repetition=1.0)
+    # two components are one direction with one weight
+    angles = found[BEARING:POWER]
+    worst = max((f.repetition for f in angles if f is not None), default=1.0)
+    directions = (None if f is None else replace(f, repetition=worst) for f in angles)
+    return (found[RANGE], *directions, *found[POWER:])

@@ -54,7 +54,6 @@ from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
     POWER_WEIGHT,
-    SIGMAS,
     clipped,
     map_cost,
     map_descent,
@@ -68,12 +67,6 @@ from companion.estimation.window.map_kernels import (
     without_values,
 )
 from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.place_noise import (
-    SpatialNoise,
-    SpatialPrior,
-    clipped_deviation,
-    fit_spatial_noise,
-)
 from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, log_ratio_of
 from companion.estimation.window.sandwich import (
     Scores,
@@ -88,7 +81,7 @@ from companion.estimation.window.sandwich import (
     stretch_covariance,
     thermal_moment,
 )
-from companion.estimation.window.shadows import shadow_noise
+from companion.estimation.window.shadows import spatial_noises
 from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
@@ -180,35 +173,10 @@ class WindowMap:
             for now, then in zip(shares[:2], before, strict=True)
         )
 
-    def _spatial_noise_of(self, rows: Matrix, mean: Vector) -> SpatialNoises:
-        """Return the spatial noise by the residuals at `mean` and the radio's parameters."""
-        p = self._p
-        found: list[SpatialNoise | None] = [None] * len(self._thresholds)
-        scores = self.scores(rows, mean)
-        for m in scores.measured:
-            if m == POWER:
-                found[m] = shadow_noise(rows, scores, self.prior_with(rows, None)[0])
-                continue
-            sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
-            ratio = p.place_sigmas[min(m, BEARING)] / sigma
-            if ratio == 0.0 and scores.correlations[m] == 0.0:
-                continue
-            psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
-            deviation = clipped_deviation(ratio, *self._thresholds[m].tolist())
-            if ratio == 0.0:
-                deviation = float(np.sqrt(np.nanmean(psi**2)))
-            length_m = p.range_length_m if m == RANGE else p.place_length_m
-            spatial_prior = SpatialPrior(deviation, length_m, is_of_radio=ratio > 0.0)
-            H, slope = scores.part(m), scores.slopes[m]
-            prior = self.prior_with(rows, None)[0]
-            noise = fit_spatial_noise(rows[:, :2], psi, H, slope, prior, spatial_prior)
-            # what looks like spatial noise may be a target that moved: keep the full weight
-            found[m] = noise if ratio > 0.0 else replace(noise, repetition=1.0)
-        # two components are one direction with one weight
-        angles = found[BEARING:POWER]
-        worst = max((f.repetition for f in angles if f is not None), default=1.0)
-        directions = (None if f is None else replace(f, repetition=worst) for f in angles)
-        return (found[RANGE], *directions, *found[POWER:])
+    def _spatial_noise_at(self, rows: Matrix, mean: Vector) -> SpatialNoises:
+        """Return the spatial noise by the residuals at `mean` (k,) and the radio's parameters."""
+        prior = self.prior_with(rows, None)[0]
+        return spatial_noises(rows, self.scores(rows, mean), self._p, prior)
 
     @Stepwise
     def optima(
@@ -231,17 +199,14 @@ class WindowMap:
 
         The window is solved again if the spatial noise differs from what was assumed.
         """
-        if minima and self._update_weights(self._spatial_noise_of(rows, minima[0][1])):
+        if minima and self._update_weights(self._spatial_noise_at(rows, minima[0][1])):
             minima = yield from self.minima.steps(rows, [mean for _, mean in minima], older)
         optima: list[Optimum] = []
         for cost, mean in minima:
             scores = self.scores(rows, mean)
             best = optima[0] if optima else None
-            if (
-                best
-                and log_ratio_of(cost, scores, best, self.spatial_noise, self._model.own_sigma_m)
-                <= IMPROBABLE_LOG_RATIO
-            ):
+            noises, own_m = self.spatial_noise, self._model.own_sigma_m
+            if best and log_ratio_of(cost, scores, best, noises, own_m) <= IMPROBABLE_LOG_RATIO:
                 continue
             optimum = yield from self._optimum.steps(rows, mean, cost, scores, older, is_white)
             optima += [] if optimum is None else [optimum]
@@ -440,7 +405,7 @@ class WindowMap:
         Raises `LinAlgError` if the position is unobservable.
         """
         fitted = copy.copy(self)
-        fitted._update_weights(fitted._spatial_noise_of(rows, mean))
+        fitted._update_weights(fitted._spatial_noise_at(rows, mean))
         return fitted._widths(rows, mean, older, is_white)
 
     def _widths(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.sandwich import (
+from companion.estimation.window.observability import (
     COLLINEAR_RATIO,
     mirrored,
     observability_of,

@@ -16,10 +16,11 @@ from companion.estimation.window.map_kernels import (
     measured_innovations,
     row_sigmas,
 )
+from companion.estimation.window.observability import mirrored
 from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.optimizer import start_around
 from companion.estimation.window.rivals import weigh_optima
-from companion.estimation.window.sandwich import mirrored, shares_of
+from companion.estimation.window.sandwich import shares_of
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
     SAME_PLACE_M,
