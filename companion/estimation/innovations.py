@@ -37,12 +37,11 @@ from companion.domain import PositionEnu, RangingMeasurement
 from companion.estimation.filters.kalman import asymmetric_huber_influence, asymmetric_huber_loss
 from companion.estimation.filters.target_filter import (
     Inflation,
-    ModalityReport,
     TargetFilter,
     UpdateReport,
 )
 from companion.estimation.hypotheses import Hypothesis
-from companion.estimation.measurement_model import AZIMUTH, COSINES, MODALITIES, POWER
+from companion.estimation.measurement_model import AZIMUTH, COSINES, MODALITIES
 from companion.estimation.screen import RejectReason
 from companion.estimation.window.observability import Observability
 from companion.estimation.window.sandwich import MAX_CORRELATION, SIGNIFICANT_SIGMAS
@@ -77,15 +76,19 @@ class Gate(NamedTuple):
 
     @classmethod
     def of(cls, report: UpdateReport, inflation: Inflation, antenna: int = AZIMUTH) -> Gate:
-        """Return the gate's result for an update; two direction cosines count as one direction."""
-        ranged = _in_sigmas(report.range, inflation[0])
-        borne = abs(_in_sigmas(report.bearing, inflation[1]))
-        if antenna == COSINES:
-            borne = max(borne, abs(_in_sigmas(report.elevation, inflation[2])))
-        is_short, is_off = ranged < -GATE_SIGMAS, borne > GATE_SIGMAS
-        is_strong = report.power is not None and (
-            _in_sigmas(report.power, inflation[POWER]) > GATE_SIGMAS
-        )
+        """Return the gate's result for an update; two direction cosines count as one direction.
+
+        Each innovation counts in its own standard deviations; what was not measured agrees.
+        """
+        ranged, borne, elevated, *powers = [
+            0.0
+            if row is None
+            else row.innovation / (row.noise_sigma * math.sqrt(c + row.prior_share))
+            for row, c in zip(report.modalities, inflation, strict=False)
+        ]
+        off = max(abs(borne), abs(elevated)) if antenna == COSINES else abs(borne)
+        is_short, is_off = ranged < -GATE_SIGMAS, off > GATE_SIGMAS
+        is_strong = max(powers, default=0.0) > GATE_SIGMAS
         return cls(
             passes_range=not is_short,
             passes_bearing=not is_off,
@@ -125,13 +128,6 @@ class Gate(NamedTuple):
 
 OPEN = Gate()
 """Gate that passes everything."""
-
-
-def _in_sigmas(report: ModalityReport | None, inflation: float) -> float:
-    """Return the innovation in its own standard deviations; 0 where nothing was measured."""
-    if report is None:
-        return 0.0
-    return report.innovation / (report.noise_sigma * math.sqrt(inflation + report.prior_share))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from companion.domain import RangingMeasurement
-from companion.estimation.filters.target_filter import Inflation, ModalityReport, UpdateReport
+from companion.estimation.filters.target_filter import Inflation, UpdateReport
 from companion.estimation.innovations import OPEN, Gate, mean_band
 from companion.estimation.screen import Objection, RecentShare
 from companion.estimation.window.antenna_check import ConfiguredAntennaCheck
@@ -117,28 +117,25 @@ class Contradiction:
         """Return the counts after one more update."""
         bearings, side, ranges = self.bearings, self.side, self.ranges
         rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
+        range_u, bearing_u = [
+            0.0  # the state's uncertainty dominates the innovation
+            if row is None or row.prior_share >= 1.0
+            else row.whitened_innovation / math.sqrt(c)
+            for row, c in zip((report.range, report.bearing), inflation, strict=False)
+        ]
         if report.bearing is not None:
             side = 0.0
-            u = _whitened(report.bearing, inflation[1])
-            if abs(u) > CONTRADICTION_U:
+            if abs(bearing_u) > CONTRADICTION_U:
                 is_opposite = abs(report.bearing.innovation) > 0.5 * math.pi
-                side = OPPOSITE if is_opposite else math.copysign(1.0, u)
+                side = OPPOSITE if is_opposite else math.copysign(1.0, bearing_u)
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
             rejected_bearings = 0 if gate.passes_bearing else rejected_bearings + 1
         if report.range is not None:
-            is_too_short = _whitened(report.range, inflation[0]) < -CONTRADICTION_U
-            ranges = ranges + 1 if is_too_short else 0
+            ranges = ranges + 1 if range_u < -CONTRADICTION_U else 0
             rejected_ranges = 0 if gate.passes_range else rejected_ranges + 1
         counts = (ranges, rejected_ranges, rejected_bearings)
         is_conclusive = max(bearings, *counts) >= CONTRADICTION_COUNT
         return Contradiction(bearings, side, *counts, is_conclusive)
-
-
-def _whitened(report: ModalityReport, inflation: float) -> float:
-    """Return the innovation in standard deviations; 0 where the state's uncertainty dominates."""
-    if report.prior_share >= 1.0:
-        return 0.0
-    return report.whitened_innovation / math.sqrt(inflation)
 
 
 NIS_WINDOW_S = 3.0
@@ -158,7 +155,10 @@ MAX_RESTARTS = 2
 
 
 class NisWindow:
-    """Normalised innovations squared of the last seconds, per degree of freedom."""
+    """Normalised innovations squared of the last seconds, per degree of freedom.
+
+    Without those of measurements on a reflected path, which `TrackIntegrity` leaves out.
+    """
 
     def __init__(self) -> None:
         self._values: deque[tuple[float, float, int]] = deque()
@@ -169,8 +169,6 @@ class NisWindow:
 
     def add(self, report: UpdateReport, inflation: Inflation, time_s: float) -> bool:
         """Process an update; return True if the NIS was above its band for too long."""
-        if _is_reflected(report):
-            return False
         squares = [
             row.whitened_innovation**2 / (c / row.weight + row.prior_share)
             for row, c in zip(report.modalities, inflation, strict=False)
@@ -200,28 +198,10 @@ class NisWindow:
         return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
 
 
-def _is_reflected(report: UpdateReport) -> bool:
-    """Return True if the range indicates a reflection; then its bearing is reflected as well."""
-    row = report.range
-    return row is not None and row.weight < 1.0 and row.innovation > 0.0
-
-
 DETOUR_S = 15.0
 """Longest shadow in which contradicting measurements are not held against the estimate."""
 CONFIDENT_BEARING_RAD = math.radians(5.0)
 """Predicted bearing sigma up to which the estimate takes precedence over a bearing."""
-
-
-def _is_detour(report: UpdateReport, gate: Gate) -> bool:
-    """Return True if the signal came around an edge: too far, and from another direction.
-
-    That happens in a shadow, and only flying out of it shows which is right. A range that is too
-    long for any reflection does not qualify, nor does the prediction of a vague estimate.
-    """
-    row = report.bearing
-    if row is None or row.noise_sigma * math.sqrt(row.prior_share) > CONFIDENT_BEARING_RAD:
-        return False
-    return _is_reflected(report) and gate.agrees_in_range and not gate.agrees_in_bearing
 
 
 class TrackIntegrity:
@@ -278,10 +258,23 @@ class TrackIntegrity:
         gate: Gate,
         gate_inflation: Inflation,
     ) -> bool:
-        """Count how a measurement agrees; return True if the track should be discarded."""
-        at_s = measurement.measured_at_s
+        """Count how a measurement agrees; return True if the track should be discarded.
+
+        A range that is too long indicates a reflection, and its bearing is reflected as well. If
+        the bearing is off, too, the signal came around an edge, on a detour. That happens in a
+        shadow, and only flying out of it shows which is right. A range that is too long for any
+        reflection is no detour, nor does the prediction of a vague estimate show one.
+        """
+        at_s, ranged, borne = measurement.measured_at_s, report.range, report.bearing
         self.contact = self.contact.after(measurement, gate)
-        if not (self.is_proven and _is_detour(report, gate)):
+        is_reflected = ranged is not None and ranged.weight < 1.0 and ranged.innovation > 0.0
+        is_detour = is_reflected and gate.agrees_in_range and not gate.agrees_in_bearing
+        if not (
+            self.is_proven
+            and is_detour
+            and borne is not None
+            and borne.noise_sigma * math.sqrt(borne.prior_share) <= CONFIDENT_BEARING_RAD
+        ):
             self._detour_since_s = None
         elif self._detour_since_s is None:
             self._detour_since_s = at_s
@@ -289,7 +282,7 @@ class TrackIntegrity:
             return False
         is_track_lost = self.note_agreement(at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, gate_inflation, gate)
-        is_out_of_band = self._nis.add(report, gate_inflation, at_s)
+        is_out_of_band = not is_reflected and self._nis.add(report, gate_inflation, at_s)
         if not self.is_lost:
             self._inflation_at_loss = None
         elif self._inflation_at_loss is None:

@@ -392,8 +392,6 @@ class MeasurementScreen:
             passed = replace(passed, range_m=None)
         if bearing_reason is not None:
             passed = passed.without_direction()
-        if passed.has_direction:
-            self.has_body_bearings = passed.bearing_body_rad is not None
         reason, time_s = range_reason or bearing_reason, measurement.measured_at_s
         if power_dbm is not None and self._frozen_power.add(power_dbm, time_s, sensor_enu_m):
             passed, reason = replace(passed, power_dbm=None), reason or RejectReason.FROZEN
@@ -432,4 +430,7 @@ class MeasurementScreen:
         if is_flat or (m.range_m is None and m.array is None):
             _, sigma_rad, _ = self._params.effective_sigmas(m)
             self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
-        return RejectReason.WRONG_UNIT if self._bearings.is_rejected else None
+        if self._bearings.is_rejected:
+            return RejectReason.WRONG_UNIT
+        self.has_body_bearings = m.bearing_body_rad is not None
+        return None

@@ -155,18 +155,6 @@ class FloodBudget:
             used[resource] += amount
         return True
 
-    def spend_frames(self, frames: int) -> bool:
-        """Charge the autopilot's address for accepted frames; False, and nothing, if over budget.
-
-        Frames that need no verification are messages.
-        """
-        known = self.known
-        if known[1] + frames > KNOWN[1] or known[2] + frames > KNOWN[2]:
-            return False
-        known[1] += frames
-        known[2] += frames
-        return True
-
     def _account_of(self, peer: Address | None) -> list[int] | None:
         """Return the account of an unknown peer; None if there are too many of them."""
         used = self._by_source.get(peer)
@@ -209,10 +197,14 @@ class Intake:
         if not (is_free or spend(Resource.BYTES, size, peer, is_known=is_known)):
             return []
         found = codec.splitter.split(chunk.data, is_datagram=is_datagram)
-        if codec.signing is None and (
-            is_free or (is_known and self.budget.spend_frames(len(found)))
-        ):
-            return found
+        if codec.signing is None:  # frames that need no verification are messages
+            if is_free:
+                return found
+            known, count = self.budget.known, len(found)
+            if is_known and max(known[1] + count - KNOWN[1], known[2] + count - KNOWN[2]) <= 0:
+                known[1] += count
+                known[2] += count
+                return found
         frames: list[bytes] = []
         for frame in found:
             if not (is_free or spend(Resource.FRAMES, 1, peer, is_known=is_known)):

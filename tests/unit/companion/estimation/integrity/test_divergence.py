@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from companion.domain import RangingMeasurement
 from companion.estimation.filters.target_filter import (
     NO_INFLATION,
     FilterState,
     ModalityReport,
     UpdateReport,
 )
+from companion.estimation.innovations import OPEN
 from companion.estimation.integrity import (
     NIS_WINDOW_COUNT,
     RESTART_MEMORY_S,
@@ -62,9 +64,12 @@ def test_innovations_of_twice_their_size_do_within_seconds() -> None:
     assert 3.0 <= alarm_s <= 7.0
 
 
-def test_reflections_are_no_divergence() -> None:
-    long = [_report(8.0, 0.3, range_weight=0.2)] * 300
-    assert _first_alarm(NisWindow(), long, 0.0) is None
+@pytest.mark.parametrize(("range_weight", "is_discarded"), [(0.2, False), (1.0, True)])
+def test_reflections_are_no_divergence(range_weight: float, is_discarded: bool) -> None:
+    integrity, long = TrackIntegrity(), _report(8.0, 0.3, range_weight)
+    measured = [RangingMeasurement(1, 0.1 * step, range_m=58.0) for step in range(300)]
+    discarded = [integrity.update(each, long, OPEN, NO_INFLATION) for each in measured]
+    assert any(discarded) is is_discarded
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -102,7 +107,7 @@ def test_it_takes_a_full_window_to_tell() -> None:
 
 def test_an_update_without_a_word_about_the_estimate_counts_for_nothing() -> None:
     window = NisWindow()
-    empty = UpdateReport(STATE, _row(5.0, weight=0.1), None, None, 0.0, True)
+    empty = UpdateReport(STATE, None, None, None, 0.0, True)
     assert _first_alarm(window, [empty] * 200, 0.0) is None
 
 
