@@ -1,7 +1,4 @@
-"""The arguments of the `companion` command and of all its subcommands.
-
-They stand apart, so that a flight loads nothing of a subcommand but its options.
-"""
+"""Arguments of the `companion` command and its subcommands, without the subcommands' code."""
 
 from __future__ import annotations
 
@@ -120,16 +117,10 @@ def argument_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(
         dest="command", metavar="{demo,setup,doctor,replay,report,area,radio,tiles,config,warm-up}"
     )
-    _add_demo(commands)
-    _add_replay(commands)
-    _add_report(commands)
-    _add_area(commands)
-    _add_doctor(commands)
-    _add_radio(commands)
-    _add_config(commands)
-    _add_setup(commands)
-    _add_tiles(commands)
-    _add_warm_up(commands)
+    for add in (_add_demo, _add_replay, _add_report, _add_area, _add_doctor):
+        add(commands)
+    for add in (_add_radio, _add_config, _add_setup, _add_tiles, _add_warm_up):
+        add(commands)
     return parser
 
 

@@ -1,15 +1,13 @@
-"""A ranging radio that rides on a vehicle which is not simulated here.
+"""Simulated ranging radio on a vehicle of another simulator, and the command `sim-link radio`.
 
 Theory of operation. The radio measures when LOCAL_POSITION_NED arrives and a measurement is due, at
-the frame's own time and place: so its stamps are the autopilot's, and no delay of the link shifts
-one. It asks for the stream and for the origin of the local frame while they are missing, and for
-ATTITUDE where its antenna feels how the vehicle leans. Its frames bear the vehicle's system id, as
-those of a payload on board would. What lags is stamped and sent with the first frame after its lag.
+the frame's time and position: so it uses the autopilot's clock, and no link delay shifts a
+measurement. It requests the stream and the origin of the local frame while they are missing, and
+ATTITUDE if its antenna tilts with the vehicle. Its frames have the vehicle's system id, like those
+of a payload. A lagging measurement is stamped and sent with the first frame after its lag.
 
-With an emulator it prints what a real radio of that make would, on a link of its own, and the
-vehicle hears nothing but the questions. What it measures is the same with the same seed.
-
-`sim-link radio`: arguments, console output, and requests to the autopilot.
+With an emulator it prints the output of a real radio on a separate link, and the vehicle hears only
+the requests. The same seed gives the same measurements.
 """
 
 from __future__ import annotations

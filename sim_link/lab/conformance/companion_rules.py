@@ -16,6 +16,7 @@ from sim_link.lab.conformance.puppet import (
     CompanionProbe,
     SetpointMessage,
     accept,
+    place_of,
     stay_silent,
 )
 from sim_link.lab.conformance.rules import PX4, Flavour, RuleBook, assume, require
@@ -26,7 +27,6 @@ IDS = "MAVLink guide, MAVLink IDs"
 SERIALIZATION = "MAVLink guide, Packet Serialization"
 PING = "MAVLink guide, Ping Protocol"
 HEARTBEATS_S = 6.0
-OTHER_SYSTEM = 7
 
 
 class IdentityRules(CompanionProbe):
@@ -52,14 +52,8 @@ class IdentityRules(CompanionProbe):
     def reports_an_onboard_controller(self) -> None:
         """HEARTBEAT reports ONBOARD_CONTROLLER, no autopilot, no mode, ACTIVE and version 3."""
         m = self._newest()
-        fields = (
-            m.type,
-            m.autopilot,
-            m.base_mode,
-            m.custom_mode,
-            m.system_status,
-            m.mavlink_version,
-        )
+        mode = (m.base_mode, m.custom_mode)
+        fields = (m.type, m.autopilot, *mode, m.system_status, m.mavlink_version)
         kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
         require(fields == (kind, none, 0, 0, mav.ACTIVE, 3), brief(m))
 
@@ -112,7 +106,7 @@ class IdentityRules(CompanionProbe):
         """Another system's autopilot does not make it change its system id."""
         foreign = mav.Heartbeat(2, 12, 1, 0x60000, 4, 3)
         for _ in range(3):
-            self.send_as(foreign, OTHER_SYSTEM, 1)
+            self.send_as(foreign, 7, 1)
             self.run(1.0)
         require(self._newest().get_srcSystem() == self.system_id, "it changed its system")
 
@@ -183,18 +177,20 @@ class RequestRules(CompanionProbe):
         require(result is not None, "not acknowledged")
         require(result == mav.UNSUPPORTED, f"result {result}")
 
+    def _require_ignored(self, *targets: tuple[int, int]) -> None:
+        for target in targets:
+            result = self.ask_companion(target)
+            require(result is None, f"{target[0]}/{target[1]}: result {result}")
+
     @book.rule(ROUTING)
     def command_for_another_component_is_ignored(self) -> None:
         """A command for another component of the system is not acknowledged."""
-        for component in (1, 100, 158):
-            result = self.ask_companion((self.system_id, component))
-            require(result is None, f"component {component}: result {result}")
+        self._require_ignored(*((self.system_id, component) for component in (1, 100, 158)))
 
     @book.rule(ROUTING)
     def command_for_another_system_is_ignored(self) -> None:
         """A command for another system is not acknowledged."""
-        result = self.ask_companion((77, self.companion[1]))
-        require(result is None, f"result {result}")
+        self._require_ignored((77, self.companion[1]))
 
     @book.rule("MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL (ArduPilot sends nothing unasked)")
     def asks_for_its_streams(self) -> None:
@@ -262,7 +258,6 @@ MIN_RATE_HZ = 2.0
 MAX_GAP_S = 0.5
 MAX_RATE_HZ = 55.0
 LISTEN_S = 5.0
-LOOK_S = 2.0
 REACTION_S = 1.0
 QUIET_S = 2.0
 """PX4 may report the failsafe that took the mode one HEARTBEAT, a second, after the mode."""
@@ -272,10 +267,7 @@ GROUPS = (7, 56, 448)
 NEVER_NAN = ("vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate")
 LOCAL_FRAMES = {Flavour.PX4: (1, 8), Flavour.ARDUPILOT: (1, 7, 8, 9)}
 GLOBAL_FRAMES = {Flavour.PX4: (5, 6), Flavour.ARDUPILOT: (0, 3, 5, 6)}
-FOREIGN_MODES = {
-    Flavour.PX4: ("position", "return", "hold"),
-    Flavour.ARDUPILOT: ("loiter", "return"),
-}
+FOREIGN_MODES = {Flavour.PX4: ("position", "return"), Flavour.ARDUPILOT: ("loiter", "return")}
 FAR_M = 1_000.0
 
 
@@ -298,7 +290,7 @@ class SetpointRules(CompanionProbe):
 
     def _all_setpoints(self) -> list[SetpointMessage]:
         self.give_control()
-        self.run(LOOK_S)
+        self.run(2.0)
         return self.setpoints()
 
     def _late_setpoints(self, mode: str, listen_s: float = LISTEN_S) -> int:
@@ -456,10 +448,3 @@ class SetpointRules(CompanionProbe):
         is_by_force = forces[:1] in ([], [mav.FORCE_DISARM])
         assume(is_by_force, "it is configured to launch by itself")
         require(not forces, "armed by force")
-
-
-def place_of(message: SetpointMessage) -> tuple[float, ...]:
-    """Return the position of a setpoint."""
-    if isinstance(message, LocalTarget):
-        return (message.x, message.y, message.z)
-    return (message.lat_int, message.lon_int, message.alt)

@@ -28,6 +28,15 @@ SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 SetpointMessage = mav.LocalTarget | mav.GlobalTarget
 SETPOINTS = (mav.LocalTarget, mav.GlobalTarget)
 CommandMessage = mav.CommandLong | mav.CommandInt
+
+
+def place_of(message: SetpointMessage) -> tuple[float, ...]:
+    """Return the position of a setpoint."""
+    if isinstance(message, mav.LocalTarget):
+        return (message.x, message.y, message.z)
+    return (message.lat_int, message.lon_int, message.alt)
+
+
 COMMANDS = (mav.CommandLong, mav.CommandInt)
 Policy = Callable[[CommandMessage], int | None]
 """The MAV_RESULT of a command; None answers nothing."""

@@ -1,4 +1,4 @@
-"""Setpoints, and the conditions that begin and end OFFBOARD and GUIDED."""
+"""Setpoints that both autopilots fly, and those of ArduCopter's GUIDED."""
 
 from __future__ import annotations
 
@@ -7,13 +7,8 @@ import math
 from companion.mav.dialect import mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import GlobalSetpoint, LocalSetpoint, Triple
-from sim_link.lab.conformance.protocol_clients import (
-    ParameterClient,
-    PlanClient,
-    Setpoint,
-    SetpointClient,
-)
-from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, PX4, Flavour, RuleBook, require
+from sim_link.lab.conformance.protocol_clients import PlanClient, Setpoint, SetpointClient
+from sim_link.lab.conformance.rules import ARDUPILOT, FLIES, RuleBook, require
 from sim_link.lab.conformance.vehicle_probe import VehicleProbe, require_unmoved
 
 COMMON = "MAVLink common, SET_POSITION_TARGET_LOCAL_NED"
@@ -340,123 +335,3 @@ class GuidedRules(SetpointClient, PlanClient):
         self.run(10.0)
         stop()
         self.require_place(wanted, "back in GUIDED")
-
-
-PX4_PAGE = "PX4 user guide, Offboard Mode"
-OFFBOARD = f"{PX4_PAGE}; {mav.OBSERVED_PX4}"
-LOSS_ACTION = "COM_OBL_RC_ACT"
-LOSS_MODES = {0: "position", 3: "return", 4: "land", 5: "hold"}
-OFFBOARD_NUMBER = mav.custom_mode(Flavour.PX4, "offboard")
-
-
-class OffboardLossRules(SetpointClient, ParameterClient):
-    """Conditions of PX4's OFFBOARD, and the events that end it."""
-
-    book = RuleBook("offboard_loss", FLIES, PX4)
-
-    def _lose_stream(self) -> LocalSetpoint:
-        """Fly in OFFBOARD and end the stream; return its setpoint."""
-        stop = self.begin_streaming()
-        setpoint = LocalSetpoint(self.place())
-        stop()
-        return setpoint
-
-    @book.rule(OFFBOARD)
-    def offboard_needs_a_stream_in_the_air(self) -> None:
-        """In the air OFFBOARD is refused without a stream, and given with one."""
-        self.take_off()
-        result = self.set_mode("offboard")
-        require(result == mav.TEMPORARILY_REJECTED, f"without a stream: result {result}")
-        self.enter_offboard(LocalSetpoint(self.place()))()
-
-    @book.rule(OFFBOARD)
-    def offboard_without_a_stream_cannot_be_armed(self) -> None:
-        """Disarmed OFFBOARD is given without a stream, but arming is refused until there is one."""
-        self.get_ready()
-        self.require_mode("offboard")
-        self.require_result(mav.TEMPORARILY_REJECTED, mav.ARM, 1.0, 0.0)
-        stop = self.stream(LocalSetpoint(self.place()))
-        self.run(1.5)
-        self.require_result(mav.ACCEPTED, mav.ARM, 1.0, 0.0)
-        self.require_result(mav.ACCEPTED, mav.ARM, 0.0, mav.FORCE_DISARM)
-        stop()
-        self.set_mode("hold")
-
-    @book.rule(f"{PX4_PAGE}, COM_OF_LOSS_T; {mav.OBSERVED_PX4}")
-    def lost_stream_is_a_failsafe(self) -> None:
-        """A second without setpoints ends OFFBOARD: another mode, and system_status CRITICAL."""
-        self.begin_streaming()()
-        self.run(0.7)
-        early = self.request(mav.Heartbeat)
-        require(early.system_status == mav.ACTIVE, "failsafe before COM_OF_LOSS_T")
-        self.run(1.0)
-        beat = self.request(mav.Heartbeat)
-        require(beat.system_status == mav.CRITICAL, f"system_status {beat.system_status}")
-        require(beat.custom_mode != OFFBOARD_NUMBER, "still OFFBOARD")
-
-    @book.rule(f"{PX4_PAGE}, COM_OBL_RC_ACT; {mav.OBSERVED_PX4}")
-    def loss_action_is_the_parameter(self) -> None:
-        """The mode after the loss is COM_OBL_RC_ACT's: position, return, land or hold."""
-        setpoint = self._lose_stream()
-        for action, mode in LOSS_MODES.items():
-            self.change(LOSS_ACTION, float(action))
-            self.follow(setpoint, 3.0)
-            self.await_mode(mode, 4.0)
-
-    @book.rule(mav.OBSERVED_PX4)
-    def returning_stream_returns_offboard(self) -> None:
-        """OFFBOARD comes back without a command when the setpoints come back."""
-        setpoint = self._lose_stream()
-        self.run(2.5)
-        require(not self.is_in("offboard"), "no failsafe")
-        stop = self.stream(setpoint)
-        self.await_mode("offboard", 3.0)
-        stop()
-
-    @book.rule(mav.OBSERVED_PX4)
-    def chosen_mode_ends_the_wish_for_offboard(self) -> None:
-        """A mode chosen during the failsafe stays when the setpoints come back."""
-        setpoint = self._lose_stream()
-        self.run(2.0)
-        self.require_mode("hold")
-        self.fly(setpoint, 2.0)
-        require(self.is_in("hold"), "OFFBOARD came back against the operator's choice")
-
-    @book.rule(OFFBOARD)
-    def short_gap_is_no_loss(self) -> None:
-        """Gaps of 0.3, 0.6 and 0.9 s change nothing; 2 Hz is enough."""
-        setpoint = LocalSetpoint(self.begin())
-        for gap_s in (0.3, 0.6, 0.9, 0.5, 0.5):
-            self.send_setpoint(setpoint)
-            self.run(gap_s)
-            for beat in self.from_vehicle(mav.Heartbeat, self.asked):
-                require(beat.custom_mode == OFFBOARD_NUMBER, f"lost in a gap of {gap_s} s")
-
-    @book.rule(f"{OFFBOARD} (stricter: a NaN invalidates the whole message)", harms=True)
-    def senseless_setpoint_is_no_proof_of_life(self) -> None:
-        """A stream of invalid setpoints counts as lost."""
-        place = self.begin()
-        for name, setpoint in invalid_setpoints(self, place).items():
-            self.follow(LocalSetpoint(place), 1.5)
-            stop = self.stream(setpoint)
-            self.run(2.5)
-            is_alive = self.is_in("offboard")
-            stop()
-            require(not is_alive, f"{name}: OFFBOARD goes on")
-
-    @book.rule(f"{PX4_PAGE} (unknown frame: a text)")
-    def unknown_frame_is_answered(self) -> None:
-        """A setpoint in a frame that is not known is answered by a text."""
-        setpoint = LocalSetpoint(self.begin(), frame=20)
-        mark = self.mark
-        self.fly(setpoint, 2.0)
-        require(bool(self.heard(mav.StatusText, mark)), "no text")
-
-    @book.rule(mav.OBSERVED_PX4)
-    def missing_axis_holds_place(self) -> None:
-        """A position with one axis masked off stays in OFFBOARD and in place."""
-        before = self.begin()
-        far = (before[0] + 30.0, before[1], before[2] - 20.0)
-        self.fly(LocalSetpoint(far, mask=mav.POSITION | 4), 3.0)
-        require(self.is_in("offboard"), "it left OFFBOARD")
-        require_unmoved(before, self.place(), 1.5)
