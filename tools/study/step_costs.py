@@ -2,9 +2,9 @@
 
 Each system flies a case once. That run, its positions and its measurements, is then retraced
 repeatedly: the filter processes each measurement and the planner decides, while the track stays the
-recorded one, so that nothing is timed but the two of them. A decision is also timed alone, on the
-estimates of the run. filterpy's filter processes measurements of the same run from the same
-positions. All of them alternate; a figure is the median over the rounds, per step.
+recorded one, so that nothing is timed but the two of them. filterpy's filter processes measurements
+of the same run from the same positions. Both alternate; a figure is the median over the rounds, per
+step.
 
 On a busy machine a turn of the scheduler is as long as a few hundred steps. The companion's steps
 are therefore timed by processor time, which equals wall time on an idle machine, and filterpy's
@@ -23,11 +23,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import process_time
-from typing import NamedTuple
 
 import numpy as np
 
-from companion.kernel import IS_COMPILED, Matrix, Vector, kernel
+from companion.kernel import Matrix, Vector, kernel
 from companion.planning.views import NO_LATCH
 from tools.benches.filter_bench import (
     FILTERPY_UPDATE,
@@ -52,8 +51,6 @@ from tools.study.walk import (
     updated,
 )
 
-DECISION_PASSES = 4 if IS_COMPILED else 1
-"""Over a run, timed together: what the call of a compiled kernel takes is spread over them."""
 FILTERPY_UPDATES = 40
 """Updates of a run that are timed together."""
 ROUNDS = 5
@@ -64,16 +61,7 @@ ONE_SIDED = tuple(
 )
 SYSTEMS = (*ONE_SIDED, System("map", "latched"), System("huber", "fim"), System("admm", "passive"))
 """Ours, and the two others whose cost the paper prints."""
-STEP, DECISION, UPDATE = "cost_ms_per_step", "decision_ms", "filterpy_update_ms"
-
-
-class Beliefs(NamedTuple):
-    """State of a recursive filter after every measurement of a run."""
-
-    means: Matrix
-    """(steps, n)"""
-    covariances: Matrix
-    """(steps, n, n)"""
+STEP, UPDATE = "cost_ms_per_step", "filterpy_update_ms"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +71,6 @@ class RecordedRun:
     system: System
     walk: Walk
     steering: WalkSteering
-    beliefs: Beliefs
     picks: Vector
     """(steps,) draws of the planner."""
 
@@ -101,28 +88,7 @@ def recorded_run(case: Case, system: System) -> RecordedRun:
     for step, (east_m, north_m) in enumerate(trial.track_enu_m.tolist()):
         z[step, :2] = measured(draws[step], east_m, north_m, trial.truth)
     walk = Walk(case, np.ascontiguousarray(trial.track_enu_m), z, belief)
-    beliefs = filter_states(walk.track_enu_m, z, belief)
-    return RecordedRun(system, walk, steering, beliefs, stream(SEED, PLANNER).random(case.steps))
-
-
-@kernel
-def filter_states(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Beliefs:
-    """Return the state of the recursive filter after every measurement.
-
-    Args:
-        track_enu_m: (steps, 2).
-        z: (steps, 3).
-    """
-    mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
-    steps, n = z.shape[0], mean.size
-    means, covariances = np.empty((steps, n)), np.empty((steps, n, n))
-    sensor = np.zeros(3)
-    means[0], covariances[0] = mean, covariance
-    for step in range(1, steps):
-        sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
-        mean, covariance = updated(mean, covariance, sensor, z[step], belief)
-        means[step], covariances[step] = mean, covariance
-    return Beliefs(means, covariances)
+    return RecordedRun(system, walk, steering, stream(SEED, PLANNER).random(case.steps))
 
 
 @kernel
@@ -152,38 +118,8 @@ def retraced(
     return places
 
 
-@kernel
-def decided(
-    track_enu_m: Matrix,
-    beliefs: Beliefs,
-    picks: Vector,
-    belief: WalkFilter,
-    steering: WalkSteering,
-    passes: int,
-) -> Matrix:
-    """Return the planner's decisions on every estimate of a run but the last, (steps - 1, 2).
-
-    Args:
-        track_enu_m: (steps, 2) positions of the run.
-        picks: (steps,) draws of its planner.
-        steering: Of a planner that follows the estimate.
-        passes: How often to go through the run.
-    """
-    places = np.empty((track_enu_m.shape[0] - 1, 2))
-    sensor = np.zeros(3)
-    for _ in range(passes):
-        latch = NO_LATCH
-        for step in range(places.shape[0]):
-            sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
-            mean, covariance = beliefs.means[step], beliefs.covariances[step]
-            places[step, 0], places[step, 1], latch = next_place(
-                sensor, mean, covariance, picks[step], latch, belief, steering
-            )
-    return places
-
-
 def contenders(run: RecordedRun) -> list[Contender]:
-    """Return the timed functions of one run: step, filterpy's update, perhaps the decision."""
+    """Return the timed functions of one run: a step, and filterpy's update."""
     walk, steering, steps = run.walk, run.steering, len(run.walk.z) - 1
     part = slice(FILTERPY_UPDATES + 1)
     beginning = replace(walk, track_enu_m=walk.track_enu_m[part], z=walk.z[part])
@@ -200,20 +136,11 @@ def contenders(run: RecordedRun) -> list[Contender]:
         retraced(walk.track_enu_m, walk.z, run.picks, walk.belief, steering)
         return {STEP: (process_time() - begun) / steps}
 
-    def decision_seconds() -> dict[str, float]:
-        """Time the decisions alone, each."""
-        begun = process_time()
-        decided(walk.track_enu_m, run.beliefs, run.picks, walk.belief, steering, DECISION_PASSES)
-        return {DECISION: (process_time() - begun) / (DECISION_PASSES * steps)}
-
     def update_seconds() -> dict[str, float]:
         """Time filterpy's update."""
         return {UPDATE: filterpy_seconds(beginning)[FILTERPY_UPDATE]}
 
-    if run.system.filter not in RECURSIVE:
-        return [run_seconds, update_seconds]
-    decisions = [] if steering.planner == FIXED else [decision_seconds]
-    return [step_seconds, *decisions, update_seconds]
+    return [step_seconds if run.system.filter in RECURSIVE else run_seconds, update_seconds]
 
 
 def costs_ms(case: Case, systems: Sequence[System], rounds: int) -> list[dict[str, float]]:

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from tools.study.case import Case
-from tools.study.step_costs import DECISION, STEP, SYSTEMS, UPDATE, costs_ms, costs_of
+from tools.study.step_costs import STEP, SYSTEMS, UPDATE, costs_ms, costs_of
 from tools.study.study import Study, StudyResult
 from tools.study.systems import System
 
@@ -32,7 +32,6 @@ def test_costs_stand_beside_the_papers_and_filterpys() -> None:
     rows = costs_of([_result(["cost_ms_per_step"])], rounds=1)
     assert [(row.system, row.metric, row.paper) for row in rows] == [
         ("Proposed (Reactive)", "cost_ms_per_step", "0.012"),
-        ("Proposed (Reactive)", "decision_ms", ""),
         ("Proposed (Reactive)", "filterpy_update_ms", ""),
     ]
     assert all(float(row.ours) > 0.0 for row in rows)
@@ -45,9 +44,6 @@ def test_nothing_is_timed_that_nobody_asked_for() -> None:
 def test_every_system_is_timed() -> None:
     costs = costs_ms(Case(steps=12), SYSTEMS, rounds=1)
     assert all(cost[STEP] > 0.0 < cost[UPDATE] for cost in costs)
-    decides = [system for system, cost in zip(SYSTEMS, costs, strict=True) if DECISION in cost]
-    flies_map = System("map", "latched")
-    assert decides == [s for s in SYSTEMS if s.planner != "passive" and s != flies_map]
 
 
 def test_a_system_without_kernels_is_refused() -> None:
