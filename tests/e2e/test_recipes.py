@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.recipe_steps import RECIPES, Command, Edit, Recipe
+from tests.e2e.recipe_edits import Command, Edit
+from tests.e2e.recipe_steps import RECIPES, Recipe
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
