@@ -147,14 +147,28 @@ class CompanionEndpoint:
         if self.authenticity.is_on:
             self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
-        for data in intake.take(chunk):
-            if not intake.is_raw:
-                self._receive_frame(data, chunk, now_s)
-                continue
+        data = intake.take(chunk)
+        for frame in () if intake.is_raw else data:
             if self._recorder is not None:
-                self._recorder.raw(data, chunk.link, chunk.peer, now_s)
+                self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
+            header, outlet = header_of(frame), self.outlet
+            _, sender, number = header
+            is_proved = not self.authenticity.is_on or is_signed(frame)
+            is_ours = sender == outlet.own_ids
+            if is_proved and outlet.note_sender(frame, sender, number, now_s, self._may_move_aside):
+                self.executor.handle(events.IdConflictHeard(now_s), now_s)
+            if is_ours:
+                continue
+            if chunk.link == self._vehicle_link:
+                self._receive_on_vehicle_link(frame, header, chunk, now_s, is_proved=is_proved)
+            else:
+                self._receive_beside(frame, chunk.link, now_s)
+        for bytes_of_radio in data if intake.is_raw else ():
+            if self._recorder is not None:
+                self._recorder.raw(bytes_of_radio, chunk.link, chunk.peer, now_s)
             self.session.searching.is_radio_heard = True
-            self._report_ranging(self._sources[chunk.link].receive(data, now_s), now_s)
+            source = self._sources[chunk.link]
+            self._report_ranging(source.receive(bytes_of_radio, now_s), now_s)
 
     def handle_timer(self, now_s: float) -> None:
         """Run the control tick, without making up for a late one; before it is due, deferred work.
@@ -273,37 +287,30 @@ class CompanionEndpoint:
             for command in self.session.handle(events.RangingReceived(now_s, measurement)):
                 self.executor.execute(command, now_s)
 
-    def _receive_frame(self, frame: bytes, chunk: Chunk, now_s: float) -> None:
-        if self._recorder is not None:
-            self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        header, outlet = header_of(frame), self.outlet
-        _, sender, number = header
-        is_proved = not self.authenticity.is_on or is_signed(frame)
-        is_ours = sender == outlet.own_ids
-        if is_proved and outlet.note_sender(frame, sender, number, now_s, self._may_move_aside):
-            self.executor.handle(events.IdConflictHeard(now_s), now_s)
-        if is_ours:
-            return
-        if chunk.link == self._vehicle_link:
-            self._receive_on_vehicle_link(frame, header, chunk, now_s)
-            return
+    def _receive_beside(self, frame: bytes, link: int, now_s: float) -> None:
+        """Process a frame on a link of ranging or of ground stations."""
         self._journal.frame(frame, now_s)
-        source = self._sources.get(chunk.link)
+        source = self._sources.get(link)
         if source is not None:
             self._report_ranging(source.receive(frame, now_s), now_s)
         else:
-            message = self._intakes[chunk.link].codec.decode_proved(frame)
+            message = self._intakes[link].codec.decode_proved(frame)
             self._serve_station(message, now_s, may_grant=False)
 
     def _receive_on_vehicle_link(
-        self, frame: bytes, header: tuple[int, Ids, int], chunk: Chunk, now_s: float
+        self,
+        frame: bytes,
+        header: tuple[int, Ids, int],
+        chunk: Chunk,
+        now_s: float,
+        *,
+        is_proved: bool,
     ) -> None:
         """Process a frame on the vehicle link; the log has no room for every unknown peer's.
 
         One without a signature, where there is a key, is no evidence about the autopilot.
         """
         binding, peer, (sequence, sender, number) = self.binding, chunk.peer, header
-        is_proved = not self.authenticity.is_on or is_signed(frame)
         is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)

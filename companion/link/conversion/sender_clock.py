@@ -95,48 +95,6 @@ SIGNIFICANT = 4.0
 """Uncertainties from which a rate is significant."""
 
 
-class ArrivalRate:
-    """Rate of a clock, from the least delays of the last seconds."""
-
-    def __init__(self) -> None:
-        self.rate = NO_RATE
-        self._minima: deque[tuple[float, float]] = deque(maxlen=BUCKETS)
-        self._until_s = 0.0
-
-    def take(self, offset_s: float, now_s: float) -> float | None:
-        """Process arrival minus stamp of one message that arrived now.
-
-        Returns:
-            The least offset now, if the rate has just become known; otherwise None.
-        """
-        least_s = None
-        if not self._minima or now_s >= self._until_s:
-            before = self.rate.growth
-            self._fit()
-            if self.rate.growth - before > self.rate.slack:
-                least_s = min(o + self.rate.growth * (now_s - t) for t, o in self._minima)
-            self._minima.append((now_s, offset_s))
-            self._until_s = now_s + BUCKET_S
-        elif offset_s < self._minima[-1][1]:
-            self._minima[-1] = (now_s, offset_s)
-        return least_s
-
-    def _fit(self) -> None:
-        if len(self._minima) < FEWEST_BUCKETS:
-            return
-        times_s, offsets_s = zip(*self._minima, strict=True)
-        line = statistics.linear_regression(times_s, offsets_s)
-        beside_s = max(
-            abs(offset_s - line.intercept - line.slope * time_s)
-            for time_s, offset_s in self._minima
-        )
-        if beside_s > STRAIGHT_S or abs(line.slope) > MAX_RATE:
-            return
-        uncertainty = DRIFT_ALLOWANCE + 2.0 * beside_s / (times_s[-1] - times_s[0])
-        is_significant = abs(line.slope) > SIGNIFICANT * uncertainty
-        self.rate = Rate(line.slope, uncertainty) if is_significant else NO_RATE
-
-
 @dataclass(slots=True)
 class _NewClock:
     """Stamps that went back, possibly of another clock."""
@@ -166,7 +124,11 @@ class Timebase:
         self.rate = rate or NO_RATE
         """Rate at the latest stamp."""
         self._offset_s = offset_s
-        self._arrivals = ArrivalRate()
+        self._arrival_rate = NO_RATE
+        """Rate by the least delays of the last seconds."""
+        self._minima: deque[tuple[float, float]] = deque(maxlen=BUCKETS)
+        """Arrival and offset of the least delay of each interval."""
+        self._bucket_until_s = 0.0
         self.gain_s = 0.0
         """Gain of the clock on ours that the latest stamp showed, seconds; 0: none."""
         self._new_clock: _NewClock | None = None
@@ -191,7 +153,7 @@ class Timebase:
         raw_s = remote_s
         if self._wraps or self._newest_remote_s - remote_s > WRAP_S - MAX_WRAP_GAP_S:
             remote_s = self._unwrapped(remote_s)
-        former, self.rate = self.rate, self.known_rate or self._arrivals.rate
+        former, self.rate = self.rate, self.known_rate or self._arrival_rate
         if self._offset_s is None:
             return self._start(remote_s, now_s, now_s - remote_s)
         passed_s = now_s - self._updated_s
@@ -207,16 +169,42 @@ class Timebase:
                 return self._start(raw_s, now_s, self._new_clock.offset_s, step)
             return StampReading(min(now_s, remote_s + before_s))
         self._new_clock = None
-        least_s = self._arrivals.take(now_s - remote_s, now_s)
+        offset_s = now_s - remote_s
         risen_s = before_s + self.rate.slack * max(0.0, passed_s)
-        if least_s is not None and self.known_rate is None:
-            risen_s = max(risen_s, least_s)
-        self._offset_s = min(risen_s, now_s - remote_s)
+        if not self._minima or now_s >= self._bucket_until_s:
+            least_s = self._fit_rate(now_s)
+            if least_s is not None and self.known_rate is None:
+                risen_s = max(risen_s, least_s)
+            self._minima.append((now_s, offset_s))
+            self._bucket_until_s = now_s + BUCKET_S
+        elif offset_s < self._minima[-1][1]:
+            self._minima[-1] = (now_s, offset_s)
+        self._offset_s = min(risen_s, offset_s)
         self.gain_s = max(0.0, foreseen_s - self._offset_s)
         self._newest_remote_s = max(self._newest_remote_s, remote_s)
         self._updated_s = now_s
         late_s = max(0.0, now_s - remote_s - self._offset_s)
         return StampReading(min(now_s, remote_s + self._offset_s - self.rate.growth * late_s))
+
+    def _fit_rate(self, now_s: float) -> float | None:
+        """Fit the rate by arrival; return the least offset now if it has just become known."""
+        if len(self._minima) < FEWEST_BUCKETS:
+            return None
+        times_s, offsets_s = zip(*self._minima, strict=True)
+        line = statistics.linear_regression(times_s, offsets_s)
+        beside_s = max(
+            abs(offset_s - line.intercept - line.slope * time_s)
+            for time_s, offset_s in self._minima
+        )
+        if beside_s > STRAIGHT_S or abs(line.slope) > MAX_RATE:
+            return None
+        uncertainty = DRIFT_ALLOWANCE + 2.0 * beside_s / (times_s[-1] - times_s[0])
+        is_significant = abs(line.slope) > SIGNIFICANT * uncertainty
+        before = self._arrival_rate
+        self._arrival_rate = rate = Rate(line.slope, uncertainty) if is_significant else NO_RATE
+        if rate.growth - before.growth <= rate.slack:
+            return None
+        return min(o + rate.growth * (now_s - t) for t, o in self._minima)
 
     def _start(
         self, remote_s: float, now_s: float, offset_s: float, step: ClockStep = ClockStep.NONE
