@@ -16,12 +16,11 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import msgspec
 
-from companion.domain import Params, PositionAccuracy, PositionEnu, RangingMeasurement
+from companion.domain import Params, PositionEnu, RangingMeasurement
 from companion.estimation.antenna import AntennaParams
 from companion.estimation.belief import Belief
 from companion.estimation.screen import RejectReason, reject_reason_of
-from companion.estimation.stepwise import Steps
-from companion.estimation.tracker import FusionReport, TargetTracker
+from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.geometry.polygons import Point
 from companion.search.searched_area import SearchPrior
@@ -173,29 +172,24 @@ class EmitterQueue:
         rest = [n for n in self._trackers if n not in self.reported and n != now]
         return sorted(rest, key=self._rank)
 
-    def fusion(
-        self,
-        measurement: RangingMeasurement,
-        sensor_enu_m: PositionEnu | None,
-        now_s: float,
-        own: PositionAccuracy | None = None,
-    ) -> Steps[FusionReport]:
-        """Fuse a measurement of any emitter, its bearing in ENU, from the antenna's position."""
-        tracker = self.current if self.is_single else self._trackers.get(measurement.emitter_id)
-        if tracker is None:
-            reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
-            reason = RejectReason.OTHER_EMITTER if self._is_full else reason
-            if reason is not None:
-                return self.current.reject(reason)
-            tracker = self._begin(measurement.emitter_id)
-        if tracker.accepted == 0:  # all that the search has left, until the first is accepted
-            tracker.prior = self.search_prior()
-        report = yield from tracker.fusion(measurement, sensor_enu_m, now_s, own)
-        if self.is_single or report.reject_reason is not None or sensor_enu_m is None:
-            return report
+    def addressed(
+        self, measurement: RangingMeasurement, now_s: float
+    ) -> TargetTracker | RejectReason:
+        """Return the filter of a measurement's emitter among several, or why it has none.
+
+        An emitter that is heard for the first time gets one.
+        """
+        tracker = self._trackers.get(measurement.emitter_id)
+        if tracker is not None:
+            return tracker
+        reason = reject_reason_of(measurement, now_s, self._tracker_params.acceptance)
+        reason = RejectReason.OTHER_EMITTER if self._is_full else reason
+        return reason or self._begin(measurement.emitter_id)
+
+    def note_fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
+        """Note place and strength of a measurement among several emitters."""
         self._place = sensor_enu_m[:2]
         self._note_strength(measurement)
-        return report
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
         """Choose the current emitter; in flight it stays if it can."""

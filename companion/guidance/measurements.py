@@ -195,15 +195,23 @@ class RangingListener:
 
     def fusion(self, queued: Queued) -> Steps[FusionReport]:
         """Fuse a measurement, seen from the vehicle position at its time."""
-        measurement, now_s, own = queued
+        (measurement, now_s, own), emitters = queued, self._emitters
         if not self._track.is_trusted_at(measurement.measured_at_s):
-            return self._emitters.current.reject(RejectReason.OWN_JUMP)
+            return emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
         is_turned = measurement.bearing_body_rad is not None
         if is_turned or self._is_array:
             attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None
             measurement = seen_in_enu(measurement, attitude, self._antenna)
-        report = yield from self._emitters.fusion(measurement, sensor_enu_m, now_s, own)
+        is_single = emitters.is_single
+        tracker = emitters.current if is_single else emitters.addressed(measurement, now_s)
+        if isinstance(tracker, RejectReason):
+            return emitters.current.reject(tracker).of(measurement, sensor_enu_m)
+        if tracker.accepted == 0:  # all that the search has left, until the first is accepted
+            tracker.prior = emitters.search_prior()
+        report = yield from tracker.fusion(measurement, sensor_enu_m, now_s, own)
+        if not is_single and report.reject_reason is None and sensor_enu_m is not None:
+            emitters.note_fused(measurement, sensor_enu_m)
         return report.of(measurement, sensor_enu_m)
 
 

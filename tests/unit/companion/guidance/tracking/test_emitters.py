@@ -7,7 +7,7 @@ import math
 import msgspec
 import pytest
 
-from companion.domain import RangingMeasurement
+from companion.domain import RangingMeasurement, VehicleState
 from companion.estimation.screen import RejectReason
 from companion.estimation.stepwise import finish
 from companion.estimation.tracker import FusionReport, TargetTracker
@@ -21,9 +21,18 @@ from companion.guidance.emitters import (
     Progress,
     QueueParams,
 )
+from companion.guidance.flight.vehicle_track import VehicleTrack
+from companion.guidance.measurements import Queued, RangingListener
 
 PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
 HERE = (0.0, 0.0, 20.0)
+
+
+def fused(queue: EmitterQueue, measurement: RangingMeasurement, now_s: float) -> FusionReport:
+    """A measurement that was taken here."""
+    track = VehicleTrack()
+    track.add(VehicleState(measurement.measured_at_s, HERE, (0.0, 0.0, 0.0)))
+    return finish(RangingListener(queue, track).fusion(Queued(measurement, now_s, None)))
 
 
 class Heard:
@@ -54,7 +63,7 @@ class Heard:
                     bearing_sigma_rad=0.03,
                     quality=None if quality is None else quality / number,
                 )
-                reports.append(finish(self.queue.fusion(measurement, HERE, self.now_s)))
+                reports.append(fused(self.queue, measurement, self.now_s))
                 self.queue.choose(self.now_s, is_flying=is_flying)
         return reports
 
@@ -104,7 +113,7 @@ def test_the_strongest_is_the_one_of_most_received_power() -> None:
     for number, power_dbm in [(1, -80.0), (2, -60.0), (3, -70.0)] * MIN_ACCEPTED:
         heard.now_s += 0.1
         measurement = RangingMeasurement(number, heard.now_s, power_dbm=power_dbm)
-        finish(heard.queue.fusion(measurement, HERE, heard.now_s))
+        fused(heard.queue, measurement, heard.now_s)
         heard.queue.choose(heard.now_s, is_flying=False)
     assert heard.current == 2
     assert heard.queue.waiting == [3, 1]
@@ -156,8 +165,8 @@ def test_one_that_is_lost_alone_stays_current() -> None:
 def test_strangers_cannot_make_filters_without_end() -> None:
     heard = Heard("nearest")
     for number in range(QueueParams.most):
-        finish(heard.queue.fusion(ranging(number), HERE, heard.now_s))
-    report = finish(heard.queue.fusion(ranging(QueueParams.most), HERE, heard.now_s))
+        fused(heard.queue, ranging(number), heard.now_s)
+    report = fused(heard.queue, ranging(QueueParams.most), heard.now_s)
     assert report.reject_reason is RejectReason.OTHER_EMITTER
     assert len(heard.queue.trackers) == QueueParams.most
 
@@ -170,7 +179,7 @@ def test_absurd_measurements_of_a_stranger_get_no_filter() -> None:
     heard = Heard("nearest")
     heard.hear(1)
     absurd = RangingMeasurement(emitter_id=9, measured_at_s=heard.now_s, range_m=-5.0)
-    report = finish(heard.queue.fusion(absurd, HERE, heard.now_s))
+    report = fused(heard.queue, absurd, heard.now_s)
     assert report.reject_reason not in (None, RejectReason.OTHER_EMITTER)
     assert [tracker.emitter_id for tracker in heard.queue.trackers] == [1]
 
@@ -237,7 +246,7 @@ def test_a_search_that_goes_on_waits_for_another_and_masks_those_reported() -> N
 def test_a_search_that_goes_on_ends_where_no_filter_is_left_for_another() -> None:
     heard = Heard("nearest", searches_on=True)
     for number in range(QueueParams.most):
-        finish(heard.queue.fusion(ranging(number), HERE, heard.now_s))
+        fused(heard.queue, ranging(number), heard.now_s)
     turns = [heard.queue.report_current() for _ in range(QueueParams.most)]
     assert turns == [True] * (QueueParams.most - 1) + [False]
     assert heard.queue.progress.sought is None
