@@ -31,7 +31,7 @@ from companion.estimation.antenna import (
 )
 from companion.guard.gate import Guard
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.searching import Searching
+from companion.guidance.searching import Searching
 from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import kept_offsets, radio_key
 from companion.io.files import FLIGHT, write_bytes_atomic

@@ -36,7 +36,7 @@ from companion.errors import CompanionError
 from companion.guidance.commands import Severity
 from companion.guidance.emitters import Progress
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
-from companion.guidance.flight.fencing import FencePolicy
+from companion.guidance.fencing import FencePolicy
 from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import (
     Checkpoint,

@@ -29,7 +29,7 @@ from companion.guard.gate import GuardLimits
 from companion.guard.limits import Envelope, Fence, Reserve, Stopping
 from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import QueueParams
-from companion.guidance.flight.fencing import FencePlan, FencePolicy
+from companion.guidance.fencing import FencePlan, FencePolicy
 from companion.link.interface import LinkParams, VehicleParams
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import PlanRequest

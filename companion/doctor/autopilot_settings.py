@@ -22,7 +22,7 @@ from companion.config.schema import CompanionConfig
 from companion.doctor.findings import AutopilotFacts, CheckResult, fail, ok, warn
 from companion.domain import Autopilot
 from companion.guard.gate import Guard
-from companion.guidance.flight.fencing import FencePolicy, Fencing
+from companion.guidance.fencing import FencePolicy, Fencing
 
 SAME = "upload the same fence to the autopilot, or set limits.autopilot_fence; docs/flying.md"
 

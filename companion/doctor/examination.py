@@ -39,7 +39,7 @@ from companion.doctor.probe import DoctorProbe, check_radios, inspect_radios
 from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.flight_setup import radio_links, with_kept_offsets
-from companion.guidance.flight.vehicle import vehicle_refusal
+from companion.guidance.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport, check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell

@@ -32,7 +32,7 @@ from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
-from companion.guidance.flight.vehicle import mode_name
+from companion.guidance.vehicle import mode_name
 from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound

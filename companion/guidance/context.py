@@ -34,12 +34,10 @@ from companion.guidance.commands import (
 )
 from companion.guidance.control_authority import Authority, Finding, Reason, Verdict, Watch
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.navigation import FlightPlan, Steering
-from companion.guidance.flight.searching import Searching
-from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.fencing import Fencing
 from companion.guidance.launch import Launch
 from companion.guidance.messages import RateLimited, StateMessages
+from companion.guidance.navigation import FlightPlan, Steering
 from companion.guidance.phases import (
     HAS_VEHICLE,
     IN_CONTROL,
@@ -48,6 +46,8 @@ from companion.guidance.phases import (
     Phase,
     Trigger,
 )
+from companion.guidance.searching import Searching
+from companion.guidance.vehicle import VehicleView
 from companion.planning.planner import Planner
 from companion.search.searched_area import SearchPrior
 

@@ -19,9 +19,9 @@ from enum import Enum, IntEnum
 
 from companion.domain import FlightMode
 from companion.guidance.events import Event, HeartbeatReceived, LandedStateChanged
-from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.launch import Launch
 from companion.guidance.phases import IN_CONTROL, OUT_OF_CONTROL, Phase, Trigger, next_phase
+from companion.guidance.vehicle import VehicleView
 
 REGAIN_QUIET_S = 2.0
 """Time for which HEARTBEATs must show another mode without a failsafe before it counts as chosen.

@@ -20,9 +20,9 @@ from companion.guidance.control_authority import (
     Verdict,
     hand_back_mode,
 )
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M, vehicle_refusal
 from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.readiness import missing_inputs
+from companion.guidance.vehicle import ORIGIN_STEP_M, vehicle_refusal
 
 SETTLE_S = 2.0
 """Time for which a home that moved must be stable."""

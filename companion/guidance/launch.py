@@ -16,7 +16,7 @@ from enum import Enum
 from companion.domain import Autopilot, FlightMode
 from companion.guidance.commands import Arm, Command, SetMode, TakeOff
 from companion.guidance.events import HeartbeatReceived, Outcome, RequestAnswered, RequestKind
-from companion.guidance.flight.vehicle import mode_name, mode_text
+from companion.guidance.vehicle import mode_name, mode_text
 
 READY_TIMEOUT_S = 120.0
 """PX4 needs 34 to 38 s after boot until it can be armed; a cold GPS needs longer."""

@@ -27,7 +27,6 @@ from companion.estimation.tracker import FusionReport
 from companion.guidance.commands import Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.health.watches import InputWatch
 from companion.guidance.messages import (
     AntennaMessages,
@@ -39,6 +38,7 @@ from companion.guidance.messages import (
     waiting_record,
 )
 from companion.guidance.phases import FLYING, IN_CONTROL, Phase
+from companion.guidance.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
 """Measurements that may wait for a vehicle position at their time; the oldest is dropped."""

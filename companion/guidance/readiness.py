@@ -33,8 +33,10 @@ from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.context import SessionContext
 from companion.guidance.control_authority import Authority
 from companion.guidance.events import SessionMemory
-from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.vehicle import (
+from companion.guidance.fencing import Fencing
+from companion.guidance.messages import radii_of, radius_fields
+from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
+from companion.guidance.vehicle import (
     LANDED_PATIENCE_S,
     LINK_LOST_S,
     MODE_UNKNOWN_AFTER_S,
@@ -42,8 +44,6 @@ from companion.guidance.flight.vehicle import (
     STALE_STATE_S,
     VehicleView,
 )
-from companion.guidance.messages import radii_of, radius_fields
-from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 
 FENCE_MESSAGE = "MISSION_ITEM_INT"
 

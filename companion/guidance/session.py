@@ -22,13 +22,13 @@ from companion.guidance.context import SessionContext
 from companion.guidance.control import TICK_S as TICK_S
 from companion.guidance.control import ControlTick
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.fencing import FencePlan, Fencing
-from companion.guidance.flight.searching import Searching
+from companion.guidance.fencing import FencePlan, Fencing
 from companion.guidance.handover import Handover
 from companion.guidance.health.watches import Watches
 from companion.guidance.measurements import EmitterScheduler, Measuring
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.readiness import Recollection, memory_of
+from companion.guidance.searching import Searching
 from companion.planning.planner import Planner
 
 

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.vehicle import LANDED_PATIENCE_S
+from companion.guidance.fencing import Fencing
+from companion.guidance.vehicle import LANDED_PATIENCE_S
 from companion.link.autopilot_fence import (
     FENCE_IDS,
     FenceDownload,

@@ -29,7 +29,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M
+from companion.guidance.vehicle import ORIGIN_STEP_M
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.conversion.geodesy_fit import GeodesyFit
 from companion.link.conversion.health_reports import HealthReports

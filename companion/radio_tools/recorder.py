@@ -25,7 +25,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.flight.vehicle_track import VehicleTrack, is_plausible
+from companion.guidance.vehicle_track import VehicleTrack, is_plausible
 from companion.io.links.transports import FlightLink
 from companion.io.radio_recording import (
     RadioBytes,

@@ -22,8 +22,8 @@ from companion.config.schema import CompanionConfig, load_config
 from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
 from companion.errors import EXIT_FAILED, ConfigError
 from companion.guidance.emitters import EmitterQueue, QueueParams
-from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import RangingListener
+from companion.guidance.vehicle_track import VehicleTrack
 from companion.io.files import check_writable, write_json_atomic
 from companion.io.log_files import damage_text
 from companion.io.radio_recording import (

@@ -23,7 +23,7 @@ from companion.estimation.target_estimate import aside_of_m
 from companion.geometry.coordinates import combined
 from companion.geometry.polygons import Point, ellipse_95
 from companion.guidance.events import OperatorCommand
-from companion.guidance.flight.fencing import Fencing
+from companion.guidance.fencing import Fencing
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.messages import radii_of
 from companion.guidance.phases import HAS_VEHICLE, PHASE_WORDS, Phase

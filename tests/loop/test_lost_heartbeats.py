@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import FlightMode
-from companion.guidance.flight.vehicle import MODE_UNKNOWN_AFTER_S
 from companion.guidance.phases import IN_CONTROL
+from companion.guidance.vehicle import MODE_UNKNOWN_AFTER_S
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.faults.fault_models import StreamMute
 from tests.loop.test_other_vehicles import FLAVOURS, SLOW, in_control

@@ -31,10 +31,10 @@ from companion.guard.gate import GuardLimits, Motion
 from companion.guidance.context import SessionContext
 from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 from companion.guidance.events import OriginSet, VehicleMoved, YawMeasured
-from companion.guidance.flight.fencing import MAX_STEP_M
-from companion.guidance.flight.vehicle import ORIGIN_STEP_M
-from companion.guidance.flight.vehicle_track import is_plausible
+from companion.guidance.fencing import MAX_STEP_M
 from companion.guidance.phases import HAS_VEHICLE, IN_CONTROL, Trigger
+from companion.guidance.vehicle import ORIGIN_STEP_M
+from companion.guidance.vehicle_track import is_plausible
 
 LEAST_STEP_M = 0.5
 """Smallest step that stands out from noise."""

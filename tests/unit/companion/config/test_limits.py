@@ -9,7 +9,7 @@ import pytest
 from companion.config.loader import parse_yaml
 from companion.config.schema import CompanionConfig, LimitsConfig, load_config, with_fence
 from companion.errors import ConfigError
-from companion.guidance.flight.fencing import FencePolicy
+from companion.guidance.fencing import FencePolicy
 
 CORNERS = [[47.0, 8.0], [47.0, 8.002], [47.002, 8.002], [47.002, 8.0]]
 

@@ -12,8 +12,8 @@ from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import MAX_WAITING, RangingListener
+from companion.guidance.vehicle_track import VehicleTrack
 
 PAPER = AntennaParams()
 AT_10_S = RangingMeasurement(emitter_id=7, measured_at_s=10.0, range_m=50.0)

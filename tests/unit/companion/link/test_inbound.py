@@ -16,7 +16,7 @@ from companion.guidance.events import (
     VehicleMoved,
     YawMeasured,
 )
-from companion.guidance.flight.vehicle_track import VehicleTrack
+from companion.guidance.vehicle_track import VehicleTrack
 from companion.link.conversion.clock_sync import ClockSync
 from companion.link.inbound import VehicleInbound, is_time_question
 from companion.mav.codec import MavCodec

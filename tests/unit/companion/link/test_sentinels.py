@@ -12,7 +12,7 @@ from dataclasses import fields, is_dataclass
 import pytest
 
 from companion.guidance.events import Event
-from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.vehicle import VehicleView
 from companion.link.inbound import VehicleInbound
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from tests.unit.companion.link.wire import E7, heartbeat, home_position, local_position, origin

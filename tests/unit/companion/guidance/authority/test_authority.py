@@ -20,9 +20,9 @@ from companion.guidance.events import (
     RequestAnswered,
     RequestKind,
 )
-from companion.guidance.flight.vehicle import vehicle_refusal
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.phases import Phase
+from companion.guidance.vehicle import vehicle_refusal
 from tests.unit.companion.guidance.authority.authority_helpers import (
     AUTOPILOTS,
     CRITICAL,

@@ -13,10 +13,10 @@ from companion.guidance.events import (
     RequestKind,
     StopRequested,
 )
-from companion.guidance.flight.fencing import Fencing
-from companion.guidance.flight.vehicle import mode_name
+from companion.guidance.fencing import Fencing
 from companion.guidance.launch import Launch, LaunchView, Stage
 from companion.guidance.phases import Phase
+from companion.guidance.vehicle import mode_name
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 AUTO = SessionParams(engage="auto", altitude_m=20.0)

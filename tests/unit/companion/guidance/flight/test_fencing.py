@@ -8,7 +8,7 @@ from companion.geometry.geofence import DISTORTION, GeoArea, GeoFence
 from companion.geometry.polygons import Point
 from companion.guard.gate import Guard
 from companion.guidance.events import AutopilotFenceRead, FenceLimits
-from companion.guidance.flight.fencing import FencePlan, FencePolicy, Fencing
+from companion.guidance.fencing import FencePlan, FencePolicy, Fencing
 
 ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 AWAY = LocalOrigin(46.397742, 8.545594, 488.0)

@@ -10,7 +10,7 @@ from companion.config.schema import LimitsConfig, PlannerConfig
 from companion.domain import FlightMode, Waypoint, WaypointReason
 from companion.geometry.polygons import depth_m
 from companion.guidance.commands import Record, SessionParams
-from companion.guidance.flight.navigation import PLAN_PERIOD_S
+from companion.guidance.navigation import PLAN_PERIOD_S
 from companion.guidance.phases import Phase
 from companion.planning.crossing import LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest

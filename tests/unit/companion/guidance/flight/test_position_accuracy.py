@@ -6,7 +6,7 @@ import pytest
 
 from companion.domain import PositionAccuracy, VehicleState
 from companion.guidance.events import AccuracySource, PositionAccuracyReported, VehicleMoved
-from companion.guidance.flight.vehicle_track import MAX_AGE_S, PositionAccuracyWatch
+from companion.guidance.vehicle_track import MAX_AGE_S, PositionAccuracyWatch
 
 RECEIVER, ESTIMATOR = AccuracySource.RECEIVER, AccuracySource.ESTIMATOR
 MOVED = VehicleMoved(0.0, VehicleState(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))

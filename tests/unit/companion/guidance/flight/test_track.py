@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.domain import Attitude, PositionEnu, VehicleState
-from companion.guidance.flight.vehicle_track import (
+from companion.guidance.vehicle_track import (
     HISTORY_S,
     MAX_EXTRAPOLATION_S,
     MAX_GAP_S,

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from companion.domain import Attitude, PositionEnu, VehicleState
 from companion.guard.gate import Motion
 from companion.guidance.events import VehicleMoved
-from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.health.position_jumps import (
     MAX_ACCELERATION_MPS2,
     MAX_GAP_S,
@@ -21,6 +20,7 @@ from companion.guidance.health.position_jumps import (
     position_jump_m,
     yaw_jump_rad,
 )
+from companion.guidance.vehicle_track import VehicleTrack
 from tests.unit.companion.guard.gate_helpers import HOME, LIMITS
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 

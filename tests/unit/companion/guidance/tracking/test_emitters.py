@@ -21,8 +21,8 @@ from companion.guidance.emitters import (
     Progress,
     QueueParams,
 )
-from companion.guidance.flight.vehicle_track import VehicleTrack
 from companion.guidance.measurements import Queued, RangingListener
+from companion.guidance.vehicle_track import VehicleTrack
 
 PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
 HERE = (0.0, 0.0, 20.0)

@@ -16,9 +16,9 @@ from companion.guard.gate import Guard, Guarded, GuardReason, Motion
 from companion.guard.limits import Fence
 from companion.guidance.commands import Announce, Command, Severity, Topic
 from companion.guidance.emitters import EmitterQueue
-from companion.guidance.flight.searching import Searching
-from companion.guidance.flight.vehicle import VehicleView
 from companion.guidance.messages import waypoint_record
+from companion.guidance.searching import Searching
+from companion.guidance.vehicle import VehicleView
 from companion.planning.planner import Planner, PlanRequest
 from companion.planning.search import SearchMemory, SearchThenCrossMemory
 from companion.search.outlook import Outlook

@@ -17,7 +17,7 @@ from companion.domain import LandedState, PositionEnu
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
 from companion.guidance.emitters import Progress
-from companion.guidance.flight.vehicle import VehicleView
+from companion.guidance.vehicle import VehicleView
 from companion.search.detection_model import DetectionModel
 from companion.search.outlook import Outlook, outlook_of
 from companion.search.search_grid import (

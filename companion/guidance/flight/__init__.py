@@ -1,1 +1,0 @@
-"""The vehicle, its fence, and the steps from a plan to guarded setpoints."""
