@@ -9,11 +9,12 @@ from tools.study.trials import RunSeries, RunTally
 from tools.verify_estimation import (
     PARTS,
     bound_figure,
-    bound_plan,
+    bound_systems,
     honesty_case,
     honesty_figures,
-    honesty_plan,
-    lawnmower_plan,
+    honesty_systems,
+    lawnmower_figures,
+    lawnmower_systems,
     verified,
 )
 
@@ -46,12 +47,16 @@ def _silent(done: int, total: int) -> None:
 
 
 def test_the_lawnmower_asks_for_rmse_rank_and_offset() -> None:
-    plan = lawnmower_plan(200, 1)
-    others = [_tally() for _ in plan.campaigns[2:]]
-    good = plan.figures([_tally(), _tally(0.3), *others])
-    assert [f.is_met for f in good if f.limit] == [True, True, True]
-    bad = plan.figures([_tally(0.36, offset_m=1.5), _tally(0.3), *others])
-    assert [f.is_met for f in bad if f.limit] == [False, False, False]
+    series = [RunSeries(case, system, 1, 200) for case, system in lawnmower_systems()]
+
+    def verdicts(*tallies: RunTally) -> list[bool | None]:
+        every = [*tallies, *(_tally() for _ in series[len(tallies) :])]
+        return [
+            f.is_met for f in lawnmower_figures(list(zip(series, every, strict=True))) if f.limit
+        ]
+
+    assert verdicts(_tally(), _tally(0.3)) == [True, True, True]
+    assert verdicts(_tally(0.36, offset_m=1.5), _tally(0.3)) == [False, False, False]
 
 
 def test_the_bound_is_that_of_the_own_tracks() -> None:
@@ -61,7 +66,7 @@ def test_the_bound_is_that_of_the_own_tracks() -> None:
 
 
 def test_the_bound_is_asked_for_in_every_regime() -> None:
-    sigmas = {c.case.channel.range_sigma_m for c in bound_plan(200, 1).campaigns}
+    sigmas = {case.channel.range_sigma_m for case, _ in bound_systems()}
     assert sigmas == {0.5, 1.5, 2.5}
 
 
@@ -94,7 +99,7 @@ def test_of_the_plain_filter_honesty_is_only_reported() -> None:
 
 
 def test_honesty_is_asked_of_known_noise_and_of_the_papers() -> None:
-    cases = {(c.case.channel.p_nlos, c.case.offsets) for c in honesty_plan(200, 1).campaigns}
+    cases = {(case.channel.p_nlos, case.offsets) for case, _ in honesty_systems()}
     assert cases == {(0.0, "fixed"), (0.0, "prior"), (0.9, "fixed")}
 
 
@@ -109,5 +114,5 @@ def test_parts_can_be_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tools.verify_estimation.tallies_of", fake)
     figures = verified(["bound"], 200, 1, 1, _silent)
     assert {figure.part for figure in figures} == {"bound"}
-    assert len(asked) == len(bound_plan(200, 1).campaigns)
+    assert len(asked) == len(bound_systems())
     assert {f.part for f in verified(PARTS, 200, 1, 1, _silent)} == set(PARTS)
