@@ -262,7 +262,7 @@ class FlightOptions:
     views: Sequence[FlightView] = ()
     """Watch the flight; closed at its end."""
     at_end: Callable[[Path], None] | None = None
-    """Gets the flight's directory once everything is written."""
+    """Called with the flight's directory once everything is written."""
 
 
 def fly(

@@ -155,9 +155,9 @@ class FleetOptions:
     listen: Address
     send_to: tuple[Address, ...]
     links: tuple[tuple[Transport, LinkMode | None], ...] = ()
-    """Links beside UDP, with the kind of their peers; serial lines only for a single vehicle."""
+    """Links besides UDP, with the kind of their peers; serial lines only for a single vehicle."""
     shares_ports: bool = False
-    """Several clients may share a UDP port of PX4."""
+    """True if several clients may share a UDP port of PX4."""
     parameters: Path | None = None
     signing_key: Path | None = None
     report: Path | None = None

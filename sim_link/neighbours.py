@@ -1,4 +1,4 @@
-"""Other vehicles that a companion hears: by addresses of their own, or by our vehicle's.
+"""Other vehicles that a companion hears, at their own addresses or behind our vehicle's.
 
 Each is a whole simulated vehicle, in the air, with a boot clock and sequence numbers of its own,
 and its own companion keeps it where it is. What our companion sends reaches it as it would there:

@@ -98,7 +98,7 @@ Measured = Sequence[tuple[RunSeries, RunTally]]
 def verified(
     parts: Sequence[Part], runs: int, seed: int, jobs: int, on_block: OnBlock
 ) -> list[Figure]:
-    """Measure some of the parts; every system gets the same draws of the seed."""
+    """Run the selected parts; every system gets the same random draws."""
     series = {
         part: [RunSeries(case, system, seed, runs) for case, system in SYSTEMS[part]()]
         for part in parts

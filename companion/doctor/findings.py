@@ -200,7 +200,7 @@ SUBJECT_WIDTH = 24
 
 
 def as_lines(findings: Sequence[CheckResult]) -> list[str]:
-    """Return a line per finding, one below it for the remedy, and a summary at the end."""
+    """Return a line per finding, another for its remedy, and a summary at the end."""
     lines = []
     for finding in findings:
         lines.append(f"{finding.level.value:<5} {finding.subject:<{SUBJECT_WIDTH}} {finding.text}")

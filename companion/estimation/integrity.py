@@ -157,7 +157,7 @@ MAX_RESTARTS = 2
 class NisWindow:
     """Normalised innovations squared of the last seconds, per degree of freedom.
 
-    Without those of measurements on a reflected path, which `TrackIntegrity` leaves out.
+    `TrackIntegrity` leaves out measurements on reflected paths.
     """
 
     def __init__(self) -> None:

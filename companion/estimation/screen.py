@@ -78,7 +78,7 @@ class AcceptanceParams(Params, frozen=True):
     max_range_m: Positive = 2000.0
     """A longer range is an error of the radio or of its unit."""
     max_age_s: Positive = 1.0
-    """An older measurement is rejected; a younger one is fused at its own time."""
+    """Maximum age of a measurement; a younger one is fused at its own time."""
 
 
 FUTURE_TOLERANCE_S = 0.1

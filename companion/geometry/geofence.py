@@ -172,10 +172,10 @@ def difference(
     tolerance_m: float,
     more_keep_out_enu_m: Sequence[Corners] = (),
 ) -> str | None:
-    """Return the difference of two fences beyond a tolerance, in words, or None.
+    """Describe the difference of two fences beyond a tolerance; None if there is none.
 
     Borders are compared both ways, at every corner and every 5 m between (on long ones, at about
-    400 points). `more_keep_out_enu_m` are keep-outs of ours that the autopilot need not have.
+    400 points). `more_keep_out_enu_m` are keep-outs of ours that the autopilot may lack.
     """
     apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
     if apart_m > tolerance_m:

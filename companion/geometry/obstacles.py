@@ -129,7 +129,7 @@ class FreeSpace:
 
     @cached_property
     def boundary(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
-        """Boundary of free space, slightly inside the margin; empty if nothing is free."""
+        """Boundary of free space, slightly inside the margin; empty without free space."""
         return tuple(self._moved_edges()), tuple(self._arcs())
 
     def _moved_edges(self) -> Iterator[Segment]:

@@ -287,7 +287,7 @@ class Fencing:
         self.guard.use(replace(self.plan.limits, fence=usable, envelope=envelope))
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
-        """Return the fence limited to the autopilot's circle about home, if that cuts into it."""
+        """Return the fence clipped to the autopilot's circle about home, if that intersects it."""
         radius_m, home = self.fence_limits.radius_m, self.home_enu_m
         if radius_m is None or home is None:
             return fence

@@ -145,7 +145,7 @@ class RangingListener:
         self._lag_s = emitters.stamp_lag_s
         self._track = track
         self.waiting: list[RangingMeasurement] = []
-        """Measurements that are not fused yet."""
+        """Measurements waiting for fusion."""
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
         """Queue a measurement for the next `fuse_due`.

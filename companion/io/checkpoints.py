@@ -52,7 +52,7 @@ class Moment:
     """A time that can be compared across restarts of the process, and of the computer."""
 
     unix_s: float
-    """Wall clock, which may jump."""
+    """Wall-clock time, which may jump."""
     boot_id: str
     """Boot id of the running kernel; empty if the system does not provide one."""
     boot_s: float
@@ -184,7 +184,7 @@ class StoredCheckpoints:
 
 
 class CheckpointStore:
-    """The two files of one vehicle link; their directory is created on the first save."""
+    """Checkpoint files of one vehicle link; their directory is created on the first save."""
 
     def __init__(self, directory: Path, name: str) -> None:
         self.paths = tuple(directory / f"{name}.checkpoint-{number}" for number in (0, 1))

@@ -37,7 +37,7 @@ LEVELS = {
 }
 EVENTS_SHARE = 0.1
 INPUTS_SHARE = 0.45
-"""Share of a flight's limit; the tlog takes the rest, which is as much."""
+"""Share of a flight's size limit for inputs; the tlog has an equal share."""
 
 
 class BlackBox:

@@ -200,7 +200,7 @@ class InputLog(BackgroundFile):
             self._keep(InputKind.FRAME, now_s, link, peer, kept)
 
     def raw(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
-        """Record bytes of a radio that does not speak MAVLink."""
+        """Record raw bytes of a radio with another format than MAVLink."""
         self._keep(InputKind.FRAME, now_s, link, peer, data)
 
     def tick(self, now_s: float) -> None:

@@ -189,7 +189,7 @@ class AutopilotBinding:
 
     @property
     def is_doubted(self) -> bool:
-        """True if frames are withheld, because they may be another vehicle's."""
+        """True if frames are withheld because they may come from another vehicle."""
         return self.problem is not None and not self._is_of_choice
 
     def take_unproved(self, now_s: float) -> list[Address | None]:

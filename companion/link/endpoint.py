@@ -344,7 +344,7 @@ class CompanionEndpoint:
         return is_free and is_before
 
     def _note_control(self, now_s: float) -> None:
-        """Report to the binding whether we have control."""
+        """Report to the binding whether the companion is in control."""
         phase, is_armed = self.session.authority.phase, self.session.vehicle.is_armed
         has_vehicle = phase in HAS_VEHICLE or phase is Phase.LAUNCHING
         self.binding.note_control(now_s, is_in_control=has_vehicle, is_armed=is_armed)

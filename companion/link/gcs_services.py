@@ -274,7 +274,7 @@ class CommandHandler:
 
 
 def _wants_version(message: AddressedCommand) -> bool:
-    """Return True if a command requests AUTOPILOT_VERSION, in the present or the former way."""
+    """Return True if a command requests AUTOPILOT_VERSION in its current or deprecated form."""
     if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
         return bool(message.param1 == VERSION_ID)
     return bool(message.command == REQUEST_CAPABILITIES and message.param1 == 1.0)

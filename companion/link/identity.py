@@ -324,7 +324,7 @@ class IdentityCourse:
         return is_often and now_s - self.other_since_s >= CONFIRM_S
 
     def _judge_other(self, sign: Sign, is_of_clock: bool, now_s: float) -> SignVerdict:
-        """Judge why the old course was left: slip, restart, jump, or another vehicle."""
+        """Classify the departure from the old course: slip, restart, jump, or another vehicle."""
         main, other = self.main, self.other
         assert main is not None
         assert other is not None

@@ -144,7 +144,7 @@ class EmitterNames:
             self._ids[key] = number
 
     def id_of(self, emitter: str | int | None) -> int | None:
-        """Return the id; None: it has none, and gets none."""
+        """Return the emitter's id; None if it has none and gets none."""
         try:
             return self._known[emitter]
         except KeyError:

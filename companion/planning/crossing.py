@@ -91,7 +91,7 @@ HEIGHT_SIGMAS = 2.0
 
 
 class LatchedCrossingParams(Params, frozen=True):
-    """Overshoot, and when a crossing counts as flown."""
+    """Parameters of the overshoot, and of a completed crossing."""
 
     overshoot_sigmas: ClassVar[float] = 3.0
     """Overshoot in standard deviations of the worst direction."""

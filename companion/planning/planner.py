@@ -65,7 +65,7 @@ class PlanRequest:
     joint_covariance: Matrix | None = field(default=None, compare=False)
     """Covariance (4, 4) of [east, north, range offset, bearing offset]; metres and radians.
 
-    None: that of the estimate, and the prior of the offsets.
+    None: the covariance of the estimate with the prior of the offsets.
     """
 
     @property

@@ -265,8 +265,8 @@ class LineDecoder(RadioDecoder):
 class FrameDecoder(RadioDecoder):
     """Decoder of binary frames that finds each whole one.
 
-    If length or checksum show that bytes are no frame, one byte is skipped: the search continues at
-    the second byte, because the first was only mistaken for a beginning.
+    If length or checksum show that bytes are not a frame, only the first byte is skipped, because a
+    frame may begin at the next one.
     """
 
     start: Pattern[bytes]

@@ -310,7 +310,7 @@ def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
 def _unit_of(behind: re.Match[str] | None) -> str | None:
     """Return the unit after a number; None without a word, or if the word is not a unit.
 
-    A word that touches the number, or in other letters, is taken for a unit that is not known.
+    A word directly after the number, or in another script, counts as an unknown unit.
     """
     if behind is None:
         return None

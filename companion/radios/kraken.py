@@ -50,7 +50,7 @@ class KrakenOptions(Params, frozen=True):
     """Conditions under which a KrakenSDR's results are used."""
 
     min_confidence: Annotated[float, msgspec.Meta(ge=0.0, le=BEST_CONFIDENCE)] = 10.0
-    """Least confidence, of 99; below it the direction is that of the noise."""
+    """Minimum confidence, of 99; below it the direction is noise."""
     best_confidence: Annotated[float, msgspec.Meta(gt=0.0, le=BEST_CONFIDENCE)] | None = None
     """The scale that the receiver reports on; null: 99, or 1 of the suite of 2026. Firmware of 2022
     and 2023 reports 0.4 to 2: set 2."""

@@ -263,7 +263,7 @@ class LinesOptions(Params, frozen=True):
     hello: Annotated[str, msgspec.Meta(max_length=200)] = ""
     """Line sent once the line is open, without its line end."""
     request: Annotated[str, msgspec.Meta(max_length=200)] = ""
-    """Query sent every `poll_s` to a module that only answers, without its line end."""
+    """Query, without line end, sent every `poll_s` to a module that answers only on request."""
 
 
 class LinesDecoder(FieldDecoder):

@@ -183,7 +183,7 @@ def place_name(grid: SearchGrid, cells: Bools) -> str:
 
 Probability = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
 GOOD_POD = 0.8
-"""An area counts as searched from here on."""
+"""POD from which an area counts as searched."""
 
 
 ReachSource = Literal["configured", "preset"]

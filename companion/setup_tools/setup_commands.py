@@ -66,7 +66,7 @@ def check_files(contents: Mapping[str, bytes]) -> CompanionConfig:
 
 
 def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
-    """Write the files, and the record; if one cannot be written, everything is as before."""
+    """Write the files and their record; if one cannot be written, restore the previous state."""
     record = _record(directory)
     files = {} if record is None else dict(record.files)
     earlier: dict[Path, bytes | None] = {}

@@ -74,7 +74,7 @@ def check_radio(
     """Check a radio's decoder with a stream and its readings (or the golden file).
 
     With `has_checksum` a flipped byte may lose readings, but never change one. Without `repeats`
-    the decoder itself separates new from old: it need not repeat a reading.
+    the decoder drops repeated readings itself.
     """
     readings = read_golden(expected) if isinstance(expected, Path) else list(expected)
     trial = _Trial(lambda: kind.decoder(options), stream, readings, repeats)

@@ -341,7 +341,7 @@ class Estimator:
         self.set_origin(LocalOrigin(*place, self.world_origin.projection))
 
     def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
-        """Return a local position about the EKF origin from the world's frame, without the bias."""
+        """Convert a position from the world's frame to the EKF's local frame, without the bias."""
         (e, n, u), (oe, on, ou) = enu_m, self._origin_enu_m
         return (e - oe, n - on, u - ou)
 

@@ -127,7 +127,7 @@ class Firmware(NamedTuple):
     frame_refusal: CommandResult
     """Result of a position in an unknown frame."""
     busy: CommandResult
-    """Result of a calibration or a restart while armed."""
+    """Result of a calibration or restart command while armed."""
     calibrates_at_once: bool
     """Otherwise it takes its time, and reports progress."""
     termination: tuple[int, str]

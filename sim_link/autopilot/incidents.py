@@ -51,7 +51,7 @@ class VehicleFault(FaultRecord, frozen=True):
 
 
 class IncidentRecord(VehicleFault, frozen=True):
-    """Fault that the simulated vehicle carries out itself."""
+    """Fault that the simulated vehicle causes itself."""
 
 
 class PilotMode(IncidentRecord, frozen=True, tag="pilot_mode"):

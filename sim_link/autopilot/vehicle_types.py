@@ -56,7 +56,7 @@ MAV_TYPE: Mapping[VehicleTypeName, int] = {
 
 
 class WireMode(NamedTuple):
-    """A mode as a firmware numbers it."""
+    """Mode with its number in a firmware."""
 
     number: int
     name: str

@@ -341,7 +341,7 @@ class Oai(LineEmulator):
 
 
 def raproc_line(when: str, preamble: int, energy_tenths: int, delay: int) -> str:
-    """Return the MAC log of the gNB."""
+    """Return a line of the gNB's MAC log."""
     energy = f"{energy_tenths // 10}.{energy_tenths % 10}"
     return (
         f"[RAPROC] {when} Initiating RA procedure with preamble {preamble}, energy {energy} dB "

@@ -239,7 +239,7 @@ class MakerfabsAt(Emulator):
 
 @dataclass(frozen=True, slots=True)
 class Fresh:
-    """A measurement that has not been fetched."""
+    """Measurement that has not been fetched yet."""
 
     range_m: float
     clock_ms: int

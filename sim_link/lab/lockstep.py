@@ -64,7 +64,7 @@ class MemoryJournal:
 
 
 class WatchedJournal:
-    """Passes everything on, and notifies observers."""
+    """Journal that forwards everything, and notifies observers."""
 
     def __init__(self, journal: Journal, observers: Observers) -> None:
         self._journal = journal

@@ -159,9 +159,9 @@ def print_times(rounds: int) -> None:
 
 
 def timed(timers: Mapping[Subject, Sequence[Contender]], rounds: int) -> dict[Subject, Seconds]:
-    """Return medians of each subject's figures over interleaved rounds, microseconds.
+    """Return the median times of each subject over interleaved rounds, microseconds.
 
-    The round that compiles does not count.
+    The first round, which compiles, is excluded.
     """
     named = [(subject, timer) for subject, own in timers.items() for timer in own]
     for _, timer in named:

@@ -156,7 +156,7 @@ def take_turns(clients: Sequence[SetpointClient], seconds: float) -> None:
 
 
 def rate_hz(client: SetpointClient, kind: type[Message], mark: int) -> float:
-    """Return the rate of a message since a mark, from the first and the last of them."""
+    """Return the rate of a message since a mark, from its first and last arrival."""
     times_s = [
         entry.time_s
         for entry in client.inbox[mark:]

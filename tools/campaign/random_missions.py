@@ -118,7 +118,7 @@ class MissionCase:
     schedule: Schedule
     is_signed: bool
     is_operated: bool
-    """An operator takes off and gives the mode; otherwise the companion launches by itself."""
+    """True if an operator takes off and gives the mode, False if the companion launches."""
     regrant_s: float | None
     """So long after the schedule began the operator gives control again; None: never."""
 

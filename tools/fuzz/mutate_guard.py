@@ -194,10 +194,10 @@ def equivalents() -> dict[str, str]:
 
 
 def modules(paths: Sequence[Path]) -> list[Path]:
-    """Return the modules that paths name.
+    """Return the modules at the given paths.
 
     Raises:
-        ConfigError: One names none.
+        ConfigError: A path names no module.
     """
     found: list[Path] = []
     for path in (path.resolve() for path in paths):

@@ -101,7 +101,7 @@ def r95_m(covariances_m2: Matrix) -> Vector:
 
 @lru_cache(maxsize=1)
 def _r95_table() -> tuple[Vector, Vector]:
-    """Return ratios of the axes, and R95 in units of the longer one."""
+    """Return axis ratios, and the R95 of each in units of the longer axis."""
     sharpness = np.linspace(np.sqrt(MIN_AXIS_RATIO), 1.0, R95_TABLE_SIZE)
     return sharpness, np.array([r95_of_covariance_m(np.diag([q * q, 1.0])) for q in sharpness])
 

@@ -27,7 +27,7 @@ CELL = ("phone_ftm", "configured", "latched_crossing")
 POWER_AT_1M_DBM = -25.0
 """15 dBm of a phone, and 40 dB of loss over the first metre at 2.4 GHz."""
 WRONG_BY_DB = 10.0
-"""Half width of the uniform error of that power."""
+"""Half width of the uniform error of that power, dB."""
 FADING_SIGMA_DB = 4.0
 """From frame to frame: 3 to 6 dB."""
 WORSE_BY_CHANCE = 0.05

@@ -42,9 +42,9 @@ class Fix:
     """Times after contact, s; infinite: not within `LONGEST_S`."""
 
     decided_s: float
-    """Until no other place has 5 % or more, for good."""
+    """Time after which no other position has 5 % or more."""
     fix_s: float
-    """Until R95 is at most `APART_M`, about a place as near to the emitter, for the first time."""
+    """Time of the first R95 of at most `APART_M` about a position as close to the emitter."""
     right_share: float
     """Share of the time in which the best hypothesis is the right place."""
 

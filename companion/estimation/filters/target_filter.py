@@ -149,7 +149,7 @@ FLOAT32_STEP = 2.0**-23
 
 
 def threshold(k: float | None) -> float:
-    """Return a configured threshold as a number; none is infinity."""
+    """Return a configured threshold as a number; infinity for null."""
     return math.inf if k is None else k
 
 

@@ -36,7 +36,7 @@ class LinkCounters:
     """Counters of a link since it was opened."""
 
     received: int = 0
-    """Datagrams, or pieces of a stream."""
+    """Number of datagrams, or of chunks of a stream."""
     sent: int = 0
     send_errors: int = 0
     """Chunks that the system refused (ENOBUFS, EAGAIN, ECONNREFUSED, network down)."""

@@ -233,7 +233,7 @@ class UdpLink(Link):
             self._received(chunks)
 
     def _note_peer(self, peer: Address) -> None:
-        """Note a sender."""
+        """Note the sender of a datagram."""
 
     def hear_only(self, peer: Address | None) -> None:
         """Let the kernel drop datagrams of other peers.

@@ -72,7 +72,7 @@ buffer, 10 bit a byte at 57,600 baud, on TCP and UDP, too: 3 to 27 ms as a rule,
 (AP_HAL_SITL `UARTDriver::receive_time_constraint_us`). Stamps then seem to arrive before they were
 sent."""
 MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
-"""Median distance, in sigma, of a normal value from the middle of two others."""
+"""Median distance of a normal value from the mean of two others, in sigma."""
 KNOWN_SIGMA_S = 0.02
 """Standard deviation up to which the offset is known."""
 PROMPT_S = 1.0
@@ -259,7 +259,7 @@ class ClockSync:
         self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
         """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None
-        """Best of the latest exchanges; None before the first."""
+        """Shortest round trip of the latest exchanges, seconds; None before the first one."""
         self._filter: OffsetFilter | None = None
         self._scatter = ExchangeScatter()
         self.pace = ClockPace()

@@ -94,7 +94,7 @@ class HealthReports:
         worst: float | None,
         now_s: float,
     ) -> EstimatorStatusReported | None:
-        """Return the estimator's verdict, None if nothing of it is known."""
+        """Return the estimator's verdict; None if unknown."""
         flags, has_position = message.flags, None
         self._has_flags = self._has_flags or flags != 0
         if self._has_flags:

@@ -218,7 +218,7 @@ class PlanDownloads:
         return [Outgoing(count, partner.channel)]
 
     def give(self, plan_type: PlanType, seq: int, partner: Partner, now_s: float) -> list[Outgoing]:
-        """Answer a request for one item, by MISSION_ITEM_INT whichever form it has."""
+        """Answer a request for one item of either form by MISSION_ITEM_INT."""
         items = self._store.items(plan_type)
         if self._rules.waits_for_ack:
             download = self._downloads.get(partner)

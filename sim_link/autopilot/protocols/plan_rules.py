@@ -220,7 +220,7 @@ class Upload:
 
 @dataclass(slots=True)
 class Download:
-    """A plan on its way out, as it was when it was asked for."""
+    """Download of a plan as it was when requested."""
 
     plan_type: PlanType
     items: tuple[PlanItem, ...]

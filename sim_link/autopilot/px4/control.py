@@ -91,7 +91,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
     """Return the setpoint of SET_POSITION_TARGET_GLOBAL_INT, or None if it is refused.
 
     Frame 5 has its altitude above sea level, frame 11 above the flat ground. Frame 6 should have it
-    above home; PX4 1.15 adds the height of the origin above home instead of taking it off.
+    above home; PX4 1.15 adds the height of the origin above home instead of subtracting it.
     """
     if message.coordinate_frame not in GLOBAL_FRAMES:
         return None

@@ -194,7 +194,7 @@ class RequestRules(CompanionProbe):
 
     @book.rule("MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL (ArduPilot sends nothing unasked)")
     def asks_for_its_streams(self) -> None:
-        """It asks the autopilot for the streams that it needs."""
+        """It requests the streams that it needs from the autopilot."""
         self.run(3.0)
         streams = self.heard(mavlink.MAVLink_request_data_stream_message)
         require(bool(self._stream_requests()) or bool(streams), "nothing was asked for")

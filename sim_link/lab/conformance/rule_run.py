@@ -85,7 +85,7 @@ class Caretaker(PlanClient):
         return mav.distance_m(self.where_e7(), place_e7) < NEAR_M / 2.0
 
     def leave(self) -> None:
-        """Put back the plans and the mode, when all rules are over."""
+        """Restore the plans and the mode after all rules."""
         plans = self.baseline.plans
         for kind, items in list(plans.items()):
             if items is None:

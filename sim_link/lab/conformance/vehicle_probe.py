@@ -286,7 +286,7 @@ class VehicleProbe(Station):
         require(result == mav.ACCEPTED, f"{mode}: result {result}")
 
     def require_disarmed(self) -> None:
-        """Require a disarmed vehicle for a rule on the ground; `NotApplicable`: it is armed."""
+        """Require a disarmed vehicle for a rule on the ground; raise `NotApplicable` if armed."""
         assume(not self.is_armed(), "the vehicle is armed")
 
     def place(self) -> Triple:

@@ -171,7 +171,7 @@ class RangingSecondEmitter(ContentFault, frozen=True, tag="ranging_second_emitte
 
 
 class RangingNan(ContentFault, frozen=True, tag="ranging_nan"):
-    """Some measurements are no numbers, infinite, negative or absurd."""
+    """Some measurements are NaN, infinite, negative or absurd."""
 
     share: Share = 0.5
 

@@ -210,7 +210,7 @@ class FlightTask:
 
 
 Done = Callable[[int, MissionResult], None]
-"""Takes the position of a task and its result, without the flight's history."""
+"""Callback with the index of a task and its result, without the flight's history."""
 
 
 def check_reports(folder: Path) -> None:

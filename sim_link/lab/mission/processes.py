@@ -230,7 +230,7 @@ SEARCH_S = 30.0
 COMPANION_ID = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 POSITION_RATE_HZ = 1.0 / STREAM_INTERVAL_S[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED]
-"""The companion's: on a link that it shares with us a lower one would starve it."""
+"""Rate of the companion's request, because a lower one would slow the stream on a shared link."""
 
 
 def check_installed() -> None:

@@ -173,7 +173,7 @@ class InsideFence(SetpointsInside):
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """A position and its depth inside."""
         self._fences = 0
-        """Number of the autopilot's fences that were in force."""
+        """Number of fences that the autopilot has had in force."""
         self._is_caught = False
         """A fence or control came when the vehicle could not stop before the border any more."""
 

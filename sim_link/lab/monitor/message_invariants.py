@@ -19,7 +19,7 @@ SHARE = 1.05
 TOLERANCE_M = 0.02
 """Rounding on the wire, and ticks that are not exactly a period apart."""
 LATE_TICK_S = 0.2
-"""A control tick that comes later moves the setpoint no farther than one after this time."""
+"""Longest time between ticks for which the setpoint may move in proportion."""
 HERE_M = 1.5
 """Largest distance of "here" from the newest vehicle position, beside its motion meanwhile."""
 STILL_M = 0.02
@@ -305,7 +305,7 @@ class HonestCovariance(Invariant):
         self._seen: TargetEstimate | None = None
 
     def ticked(self) -> None:
-        """Judge a new estimate."""
+        """Check a new estimate."""
         estimate = self._estimate()
         if estimate is None or estimate is self._seen:
             return

@@ -34,7 +34,7 @@ class Rules(Params, frozen=True):
     keeps_autopilot_fence: bool = True
     """False where the companion is configured to ignore the autopilot's own fence."""
     system_id: int | None = None
-    """The vehicle that the companion is configured to follow; None: the first that it hears."""
+    """System id of the vehicle configured; None: the first one heard."""
     keep_out_enu_m: tuple[Corners, ...] = ()
     altitude_min_m: Positive = 5.0
     altitude_max_m: Positive = 60.0

@@ -15,7 +15,7 @@ from tools.study.reporting.plots import DPI, FIM, INK, LATCHED, MUTED, PASSIVE, 
 from tools.study.searched_area import KINDS, Bin, Kind, Trial, csv_of, reliability, success
 
 MOST_ERROR = 0.03
-"""Largest difference between the share heard and the stated one, in every tenth."""
+"""Largest permitted difference between heard and stated shares in each tenth."""
 COLOURS: dict[Kind, str] = {"open": LATCHED, "rubble": PASSIVE, "walls": FIM}
 
 

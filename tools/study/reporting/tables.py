@@ -153,7 +153,7 @@ def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
 def verdict_of(row: ResultRow, diverged: int = 0) -> Verdict:
     """Return the verdict: paper or companion ahead, or the companion within the requested band.
 
-    Level is a paper's number inside of the companion's 95 % interval, or the same number. If runs
+    The verdict is level if the paper's number equals ours or lies in our 95 % interval. If runs
     `diverged`, an RMSE follows one run, and its interval holds almost any number: no side is ahead.
     """
     ours = _number(row.ours)

@@ -337,7 +337,7 @@ class ArmingRules(VehicleProbe):
 
     @book.rule(f"MAVLink common, MAV_CMD_COMPONENT_ARM_DISARM; {mav.OBSERVED_BOTH}")
     def disarming_in_the_air_is_refused(self) -> None:
-        """In the air disarming is refused."""
+        """Disarming is refused in the air."""
         self.take_off()
         self.require_result(self._refusal, mav.ARM, 0.0, 0.0)
         require(self.is_armed(), "it is disarmed")

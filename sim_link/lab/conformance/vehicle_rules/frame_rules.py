@@ -55,7 +55,7 @@ class FrameRules(FrameProbe):
         require(self.is_answered(mav.build_frame(message, spec), message.ts1), problem)
 
     def _require_silence(self, spec: FrameSpec, problem: str) -> None:
-        """The vehicle must not take a TIMESYNC sent as `spec` says, but the next right one."""
+        """Require no answer to a TIMESYNC framed by `spec`, but one to the next valid TIMESYNC."""
         message = self.question()
         self._require_dropped(mav.build_frame(message, spec), message.ts1, problem)
 

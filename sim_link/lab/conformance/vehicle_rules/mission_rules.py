@@ -216,7 +216,7 @@ class MissionRules(PlanClient):
 
     @book.rule(f"{SERVICE} (MISSION_CURRENT)", flavours=PX4)
     def mission_current_reports_total_and_state(self) -> None:
-        """MISSION_CURRENT reports the total and the state: none, then not started."""
+        """MISSION_CURRENT reports the total and the state: no mission, then not started."""
         self.clear()
         self.run(1.5)
         state = self.request(mav.Current).mission_state

@@ -251,7 +251,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
     def origin_and_home_come_on_request(self) -> None:
-        """GPS_GLOBAL_ORIGIN and HOME_POSITION come when they are asked for."""
+        """GPS_GLOBAL_ORIGIN and HOME_POSITION are sent on request."""
         for place in (self.request(mav.Origin), self.home()):
             require(0 < abs(place.latitude) <= 900_000_000, brief(place))
 
