@@ -66,6 +66,10 @@ CAMPAIGN_PARTS = {
         "{fuzz_frames:,} random frames",
         "slowest frame {fuzz_slowest_frame_s:.4f} s, {fuzz_growth_mb:.0f} MB more",
     ),
+    "clocks": (
+        "{clock_flights:,} searches with slow, fast and slipping clocks",
+        "error at most {clock_error_m:.2f} m, hold at most {clock_hold_s:.2f} s",
+    ),
     "soak": (
         "{soak_hours:g} h of flight with a real journal",
         "memory grows by {soak_slope_mb_per_h:.3f} MB/h, log of {soak_log_bytes:,} bytes",

@@ -22,15 +22,15 @@ from companion.planning.search import LawnmowerParams, SearchPlanner
 from companion.planning.search_probability import ProbabilityPlanner
 from companion.search.detection_model import DetectionModel
 from companion.search.outlook import LegTable, Outlook, outlook_of
-from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
+from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import SearchedArea
-from tools.study.searched_area import Array, are_heard, draw_world
+from tools.study.searched_area import Array, are_heard, draw_world, even_poa, uneven_poa
 
 Poa = Literal["even", "uneven"]
 POAS: tuple[Poa, ...] = get_args(Poa)
 Name = Literal["lawnmower", "probability", "stonesoup"]
 NAMES: tuple[Name, ...] = get_args(Name)
-SIDE_M, CELL_M = 600.0, 20.0
+SIDE_M = 600.0
 HOME: Point = (5.0, 5.0)
 FENCE = ((0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M))
 MARGIN_M = 3.0
@@ -42,7 +42,6 @@ MAP_EVERY_S = 2.0
 SWEEPS = 1.0
 """Length of a flight, in sweeps of the lawnmower."""
 EMITTERS = 40
-WEIGHTS = (0.7, 0.2, 0.1)
 
 
 class Mover(Protocol):
@@ -145,14 +144,8 @@ def mover_of(name: Name, spacing_m: float, model: DetectionModel) -> Mover:
 def poa_of(kind: Poa, rng: np.random.Generator) -> SearchGrid:
     """Return an even POA over the square, or polygons of equal size with 70, 20 and 10 %."""
     if kind == "even":
-        return grid_over([WeightedArea(FENCE)], CELL_M)
-    third = SIDE_M / 3.0
-    edges = [(k * third, (k + 1) * third) for k in range(3)]
-    strips = [((w, 0.0), (e, 0.0), (e, SIDE_M), (w, SIDE_M)) for w, e in edges]
-    if rng.random() < 0.5:
-        strips = [tuple((north, east) for east, north in strip) for strip in strips]  # type: ignore[misc]
-    weights = rng.permutation(WEIGHTS)
-    return grid_over([WeightedArea(s, w) for s, w in zip(strips, weights, strict=True)], CELL_M)
+        return even_poa(SIDE_M)
+    return uneven_poa(SIDE_M, rng, is_turned=bool(rng.random() < 0.5))
 
 
 def flown(mover: Mover, grid: SearchGrid, model: DetectionModel, length_s: float) -> Array:

@@ -207,25 +207,30 @@ def _fading_db(rice_k: float, shape: tuple[int, int], rng: np.random.Generator) 
 SIDE_M = 500.0
 
 
+CELL_M = 20.0
+WEIGHTS = (0.7, 0.2, 0.1)
+
+
 def search_areas(rng: np.random.Generator) -> SearchGrid:
     """Return the POA of a flight over a square of `SIDE_M`: even, or of three polygons."""
-    third = SIDE_M / 3.0
-    whole = ((0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M))
-    if rng.random() < 0.5:
-        return grid_over([WeightedArea(whole)], 20.0)
-    strips = [
-        WeightedArea(
-            (
-                (k * third, 0.0),
-                ((k + 1) * third, 0.0),
-                ((k + 1) * third, SIDE_M),
-                (k * third, SIDE_M),
-            ),
-            weight,
-        )
-        for k, weight in enumerate(rng.permutation([0.7, 0.2, 0.1]))
-    ]
-    return grid_over(strips, 20.0)
+    return even_poa(SIDE_M) if rng.random() < 0.5 else uneven_poa(SIDE_M, rng)
+
+
+def even_poa(side_m: float) -> SearchGrid:
+    """Return an even POA over a square from the origin."""
+    whole = ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
+    return grid_over([WeightedArea(whole)], CELL_M)
+
+
+def uneven_poa(side_m: float, rng: np.random.Generator, *, is_turned: bool = False) -> SearchGrid:
+    """Return three strips of a square with 70, 20 and 10 % in any order, from west or south on."""
+    third, areas = side_m / 3.0, []
+    for k, weight in enumerate(rng.permutation(WEIGHTS)):
+        low, high = k * third, (k + 1) * third
+        strip = ((low, 0.0), (high, 0.0), (high, side_m), (low, side_m))
+        turned = tuple((north, east) for east, north in strip)
+        areas.append(WeightedArea(turned if is_turned else strip, weight))
+    return grid_over(areas, CELL_M)
 
 
 def fly(number: int, seed: int) -> list[Trial]:
