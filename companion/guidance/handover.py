@@ -120,7 +120,7 @@ class Handover:
         if context.enter(Trigger.LANDED, event.time_s):
             text = "on the ground" if is_down else "autopilot is landing"
             if left in (Phase.FINISHED, Phase.HANDBACK):  # by what we asked for
-                context.announce(Severity.NOTICE, f"as asked: {text}")
+                context.announce(Severity.NOTICE, f"as requested: {text}")
             else:
                 context.warn(f"control lost: {text}")
 

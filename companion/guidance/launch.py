@@ -215,7 +215,7 @@ class Launch:
             self.failure = "only PX4 and ArduPilot can be launched"
         elif heartbeat.is_armed:
             name = mode_text(heartbeat)
-            self.failure = f"the vehicle is being flown already, in {name}"
+            self.failure = f"the vehicle is already being flown, in {name}"
         if self.failure is not None:
             return []
         self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT
@@ -223,7 +223,7 @@ class Launch:
         if heartbeat.is_ready and view.has_origin:
             self._enter(Stage.MODE if self._launch_mode(heartbeat) else Stage.ARM, view.now_s)
         elif view.now_s - self._since_s > READY_TIMEOUT_S:
-            self.failure = "the autopilot does not become ready to arm"
+            self.failure = "the autopilot is not ready to arm"
         return []
 
     @staticmethod
@@ -269,7 +269,7 @@ class Launch:
         elif self._refused is not None and view.now_s - self._since_s > LIFT_S:
             self.failure = self._refused
         elif view.now_s - self._since_s > CLIMB_TIMEOUT_S:
-            self.failure = "the vehicle did not climb to its altitude"
+            self.failure = "the vehicle did not reach its altitude"
 
 
 def _is_after(

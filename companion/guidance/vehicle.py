@@ -50,9 +50,9 @@ def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | 
     if not vehicle_class.is_flown:
         name = vehicle_class.value
         article = "an" if name[0] in "aeiou" else "a"
-        return f"only multicopters are flown: this is {article} {name}"
+        return f"only multicopters are supported: this is {article} {name}"
     if autopilot is Autopilot.OTHER:
-        return "only PX4 and ArduPilot are flown: this is another autopilot"
+        return "only PX4 and ArduPilot are supported: this is another autopilot"
     return None
 
 

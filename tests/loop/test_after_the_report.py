@@ -61,7 +61,9 @@ def test_landing_as_asked_is_no_loss_of_control(flavour: FlavourName, action: st
     mission = SessionParams(engage="auto", on_localised=action)  # type: ignore[arg-type]
     loop = reported(flavour, CompanionConfig(mission=mission))
     loop.run_until(lambda: loop.said("flight over"), 180.0)
-    assert loop.said("as asked: autopilot is landing") or loop.said("as asked: on the ground")
+    assert loop.said("as requested: autopilot is landing") or loop.said(
+        "as requested: on the ground"
+    )
     assert not loop.said("control lost")
 
 

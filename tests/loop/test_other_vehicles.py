@@ -282,7 +282,7 @@ def test_a_class_that_is_not_flown_is_named_and_neither_flown_nor_asked(
         sky.run(2.0)
     assert sky.setpoints == []
     assert not [number for _, number in sky.commands if number in ASKING]
-    text = f"no control: only multicopters are flown: this is a {REFUSED[vehicle_type]}"
+    text = f"no control: only multicopters are supported: this is a {REFUSED[vehicle_type]}"
     assert [said for said in sky.said_of_identity] == [text]
 
 

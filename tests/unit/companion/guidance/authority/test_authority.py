@@ -57,7 +57,7 @@ def test_an_autopilot_of_another_kind_is_named_and_never_ready() -> None:
     flight = ScriptedFlight(autopilot=Autopilot.OTHER).ready()
     flight.fly(12.0)
     assert flight.phase is Phase.WAITING
-    text = "no control: only PX4 and ArduPilot are flown: this is another autopilot"
+    text = "no control: only PX4 and ArduPilot are supported: this is another autopilot"
     assert [each for each in flight.texts if "control" in each] == [text]
 
 
@@ -67,7 +67,7 @@ def test_an_autopilot_of_another_kind_is_named_and_never_ready() -> None:
 )
 def test_a_class_that_is_not_flown_is_named(vehicle_class: VehicleClass, name: str) -> None:
     text = vehicle_refusal(vehicle_class, Autopilot.PX4)
-    assert text == f"only multicopters are flown: this is {name}"
+    assert text == f"only multicopters are supported: this is {name}"
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

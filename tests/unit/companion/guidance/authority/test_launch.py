@@ -120,7 +120,7 @@ def test_waits_for_the_autopilot_to_become_ready_and_then_gives_up() -> None:
     assert attempt.wait(119.0) == []
     assert attempt.launch.failure is None
     attempt.wait(1.5)
-    assert attempt.launch.failure == "the autopilot does not become ready to arm"
+    assert attempt.launch.failure == "the autopilot is not ready to arm"
 
 
 def test_waits_for_the_origin_that_the_takeoff_altitude_needs() -> None:
@@ -210,7 +210,7 @@ def test_a_climb_that_does_not_arrive_ends_the_launch() -> None:
     attempt.wait(90.0)
     assert attempt.launch.failure is None
     attempt.wait(0.2)
-    assert attempt.launch.failure == "the vehicle did not climb to its altitude"
+    assert attempt.launch.failure == "the vehicle did not reach its altitude"
 
 
 def test_offboard_that_is_accepted_but_never_entered_ends_the_launch() -> None:
@@ -250,7 +250,7 @@ def test_a_vehicle_that_somebody_flies_is_not_launched(
     attempt.is_armed, attempt.height_m = True, 5.0
     assert attempt.wait(3.0) == []
     name = mode_name(mode, autopilot)
-    assert attempt.launch.failure == f"the vehicle is being flown already, in {name}"
+    assert attempt.launch.failure == f"the vehicle is already being flown, in {name}"
 
 
 def test_an_unknown_autopilot_is_not_launched() -> None:
@@ -369,7 +369,7 @@ def test_a_launch_that_gives_up_leaves_the_vehicle_alone() -> None:
     flight = launching()
     flight.fly(95.0)
     assert flight.is_in(Phase.YIELD)
-    assert "takeoff aborted: the vehicle did not climb to its altitude" in flight.texts
+    assert "takeoff aborted: the vehicle did not reach its altitude" in flight.texts
 
 
 @pytest.mark.parametrize("what", ["has_position", "has_link"])
