@@ -117,20 +117,21 @@ class Contradiction:
         """Return the counts after one more update."""
         bearings, side, ranges = self.bearings, self.side, self.ranges
         rejected_ranges, rejected_bearings = self.rejected_ranges, self.rejected_bearings
+        ranged, borne, *_ = report.modalities
         range_u, bearing_u = [
             0.0  # the state's uncertainty dominates the innovation
             if row is None or row.prior_share >= 1.0
             else row.whitened_innovation / math.sqrt(c)
-            for row, c in zip((report.range, report.bearing), inflation, strict=False)
+            for row, c in zip((ranged, borne), inflation, strict=False)
         ]
-        if report.bearing is not None:
+        if borne is not None:
             side = 0.0
             if abs(bearing_u) > CONTRADICTION_U:
-                is_opposite = abs(report.bearing.innovation) > 0.5 * math.pi
+                is_opposite = abs(borne.innovation) > 0.5 * math.pi
                 side = OPPOSITE if is_opposite else math.copysign(1.0, bearing_u)
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
             rejected_bearings = 0 if gate.passes_bearing else rejected_bearings + 1
-        if report.range is not None:
+        if ranged is not None:
             ranges = ranges + 1 if range_u < -CONTRADICTION_U else 0
             rejected_ranges = 0 if gate.passes_range else rejected_ranges + 1
         counts = (ranges, rejected_ranges, rejected_bearings)
@@ -265,7 +266,7 @@ class TrackIntegrity:
         shadow, and only flying out of it shows which is right. A range that is too long for any
         reflection is no detour, nor does the prediction of a vague estimate show one.
         """
-        at_s, ranged, borne = measurement.measured_at_s, report.range, report.bearing
+        at_s, (ranged, borne, *_) = measurement.measured_at_s, report.modalities
         self.contact = self.contact.after(measurement, gate)
         is_reflected = ranged is not None and ranged.weight < 1.0 and ranged.innovation > 0.0
         is_detour = is_reflected and gate.agrees_in_range and not gate.agrees_in_bearing

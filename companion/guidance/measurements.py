@@ -155,9 +155,10 @@ class RangingListener:
         if self._lag_s:
             measured_at_s = measurement.measured_at_s - self._lag_s
             measurement = replace(measurement, measured_at_s=measured_at_s)
-        identity = identity_of(measurement)
-        if any(identity_of(waiting) == identity for waiting in self.waiting):
-            return [self._emitters.current.reject(RejectReason.DUPLICATE)]
+        if self.waiting:
+            identity = identity_of(measurement)
+            if any(identity_of(waiting) == identity for waiting in self.waiting):
+                return [self._emitters.current.reject(RejectReason.DUPLICATE)]
         self.waiting.append(measurement)
         if len(self.waiting) <= MAX_WAITING:
             return []

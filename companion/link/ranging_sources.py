@@ -181,7 +181,13 @@ def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasu
         line_of_sight = True
     elif flags & NON_LINE_OF_SIGHT:
         line_of_sight = False
-    bearing_enu_rad = bearing_body_rad = _or_none(message.bearing)
+    range_m, range_sigma_m, bearing_rad, bearing_sigma_rad = _or_none(
+        message.range, message.range_std, message.bearing, message.bearing_std
+    )
+    elevation_rad, elevation_sigma_rad, power_dbm = _or_none(
+        message.elevation, message.elevation_std, message.power
+    )
+    bearing_enu_rad = bearing_rad
     if (
         abs(message.bearing) <= MAX_BEARING_RAD
     ):  # a larger one is most likely in degrees, and rejected later
@@ -190,14 +196,14 @@ def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasu
         emitter_id=message.emitter_id,
         measured_at_s=measured_at_s,
         stamp_us=message.time_usec,
-        range_m=_or_none(message.range),
-        range_sigma_m=_or_none(message.range_std),
+        range_m=range_m,
+        range_sigma_m=range_sigma_m,
         bearing_enu_rad=None if is_body else bearing_enu_rad,
-        bearing_body_rad=bearing_body_rad if is_body else None,
-        bearing_sigma_rad=_or_none(message.bearing_std),
-        elevation_rad=_or_none(message.elevation),
-        elevation_sigma_rad=_or_none(message.elevation_std),
-        power_dbm=_or_none(message.power) or None,  # 0: the sender has no such field
+        bearing_body_rad=bearing_rad if is_body else None,
+        bearing_sigma_rad=bearing_sigma_rad,
+        elevation_rad=elevation_rad,
+        elevation_sigma_rad=elevation_sigma_rad,
+        power_dbm=power_dbm or None,  # 0: the sender has no such field
         is_array_angle=bool(flags & ARRAY_ANGLE),
         quality=None if message.quality == UINT8_MAX else message.quality / 100.0,
         line_of_sight=line_of_sight,
@@ -213,13 +219,13 @@ def _from_landing_target(
     """
     if message.type != mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
         return None
-    range_m = _or_none(message.distance)
+    range_m, bearing_body_rad = _or_none(message.distance, message.angle_x)
     return RangingMeasurement(
         emitter_id=message.target_num,
         measured_at_s=measured_at_s,
         stamp_us=message.time_usec,
         range_m=None if range_m == 0.0 else range_m,
-        bearing_body_rad=_or_none(message.angle_x),
+        bearing_body_rad=bearing_body_rad,
     )
 
 
@@ -240,5 +246,6 @@ def _from_ranging_beacon(
     )
 
 
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)
+def _or_none(*values: float) -> list[float | None]:
+    """Return the values of fields, NaN as None."""
+    return [None if math.isnan(value) else float(value) for value in values]

@@ -64,7 +64,7 @@ class InformationFilter:
         covariance = np.linalg.inv(information)
         mean = state.mean + covariance @ pull
         after = FilterState.of(state.time_s, mean, 0.5 * (covariance + covariance.T))
-        return UpdateReport(after, rows[0], rows[1], rows[2], float(nis), True)
+        return UpdateReport(after, tuple(rows[:3]), float(nis), True)
 
 
 def test_a_filter_that_has_nothing_but_the_protocol_runs_in_the_tracker(

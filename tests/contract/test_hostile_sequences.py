@@ -134,7 +134,9 @@ def test_a_weight_must_be_a_share() -> None:
     assert report.range is not None
     assert fault_of(report, state, params.bounds) is None
     for weight in (0.0, 1.5):
-        wrong = replace(report, range=replace(report.range, weight=weight))
+        wrong = replace(
+            report, modalities=(replace(report.range, weight=weight), *report.modalities[1:])
+        )
         assert fault_of(wrong, state, params.bounds) == "weight not in (0, 1]"
 
 

@@ -72,7 +72,7 @@ class FilterpyEkf:
         after = FilterState.of(state.time_s, mean, covariance) if is_sane else state
         ranged, borne, elevated = _reports(ekf, rows, noise, effective)
         nis = float(ekf.y @ ekf.SI @ ekf.y) if rows else 0.0
-        return target_filter.UpdateReport(after, ranged, borne, elevated, nis, is_sane)
+        return target_filter.UpdateReport(after, (ranged, borne, elevated), nis, is_sane)
 
     def _filter(self, state: FilterState, rows: int) -> Any:
         """Return the library's filter at a state, for a number of rows."""

@@ -348,11 +348,9 @@ class RecursiveFilter:
             P.setflags(write=False)
             state = FilterState(state.time_s, mean, P)
         reports = rows.tolist()
-        ranged, borne, elevated, *more = [
-            None if math.isnan(row[0]) else ModalityReport(*row[:-1]) for row in reports
-        ]
+        modalities = [None if math.isnan(row[0]) else ModalityReport(*row[:-1]) for row in reports]
         nis = sum([row[-1] for row in reports if not math.isnan(row[-1])])
-        return UpdateReport(state, ranged, borne, elevated, nis, is_sane, *more)
+        return UpdateReport(state, tuple(modalities), nis, is_sane)
 
 
 class AsymmetricHuberEkf(RecursiveFilter):

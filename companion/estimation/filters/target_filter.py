@@ -23,10 +23,13 @@ from companion.estimation.antenna import LEVEL, MODELS, AntennaParams
 from companion.estimation.measurement_model import (
     ABSENT,
     AZIMUTH,
+    BEARING,
     BEARING_OFFSET,
     COSINES,
+    ELEVATION,
     MODALITIES,
     PLANAR,
+    RANGE,
     RANGE_OFFSET,
     RangingModel,
     rows_of,
@@ -77,20 +80,27 @@ class UpdateReport:
     """State after a measurement, and the result of each modality."""
 
     state: FilterState
-    range: ModalityReport | None
-    bearing: ModalityReport | None
-    elevation: ModalityReport | None
+    modalities: tuple[ModalityReport | None, ...]
+    """Range, bearing, elevation and, if the model has one, power; None: not measured."""
     nis: float
     """y^T S^-1 y over the modalities measured, with the robust weights in S."""
     is_positive_definite: bool
     """False: `state` is the previous one, and the filter must be reset."""
-    power: ModalityReport | None = None
 
     @property
-    def modalities(self) -> tuple[ModalityReport | None, ...]:
-        """Range, bearing, elevation and, if it was measured, power, in this order."""
-        rows = (self.range, self.bearing, self.elevation)
-        return rows if self.power is None else (*rows, self.power)
+    def range(self) -> ModalityReport | None:
+        """Result of the range."""
+        return self.modalities[RANGE]
+
+    @property
+    def bearing(self) -> ModalityReport | None:
+        """Result of the bearing, or of an array's first component."""
+        return self.modalities[BEARING]
+
+    @property
+    def elevation(self) -> ModalityReport | None:
+        """Result of the elevation, or of an array's second component."""
+        return self.modalities[ELEVATION]
 
 
 class TargetFilter(Protocol):

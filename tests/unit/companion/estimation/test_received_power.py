@@ -58,7 +58,8 @@ def test_a_weak_signal_is_bounded_evidence_and_a_strong_one_is_not() -> None:
     place = (0.0, 0.0, HIGH_M)
     expected_dbm = float(predicted(mean, np.array(place), PARAMS.model)[POWER])
     weak, strong = (
-        target_filter.update(state, heard(expected_dbm + off), place).power for off in (-40.0, 20.0)
+        target_filter.update(state, heard(expected_dbm + off), place).modalities[POWER]
+        for off in (-40.0, 20.0)
     )
     assert weak is not None
     assert strong is not None

@@ -42,7 +42,7 @@ def _behind(side: float) -> ModalityReport:
 def _report(
     ranged: ModalityReport | None = None, borne: ModalityReport | None = None
 ) -> UpdateReport:
-    return UpdateReport(STATE, ranged, borne, None, 0.0, True)
+    return UpdateReport(STATE, (ranged, borne, None), 0.0, True)
 
 
 def _after(

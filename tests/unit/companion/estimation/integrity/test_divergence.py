@@ -31,7 +31,7 @@ def _row(u: float, weight: float = 1.0) -> ModalityReport:
 
 
 def _report(ranged: float, borne: float, range_weight: float = 1.0) -> UpdateReport:
-    return UpdateReport(STATE, _row(ranged, range_weight), _row(borne), None, 0.0, True)
+    return UpdateReport(STATE, (_row(ranged, range_weight), _row(borne), None), 0.0, True)
 
 
 def _first_alarm(
@@ -107,7 +107,7 @@ def test_it_takes_a_full_window_to_tell() -> None:
 
 def test_an_update_without_a_word_about_the_estimate_counts_for_nothing() -> None:
     window = NisWindow()
-    empty = UpdateReport(STATE, None, None, None, 0.0, True)
+    empty = UpdateReport(STATE, (None, None, None), 0.0, True)
     assert _first_alarm(window, [empty] * 200, 0.0) is None
 
 

@@ -26,7 +26,7 @@ def _report(
 ) -> UpdateReport:
     rows = [_row(u, prior_share) for u in (ranged, borne, elevated)]
     nis = sum(u * u for u in (ranged, borne, elevated) if u is not None)
-    return UpdateReport(STATE, rows[0], rows[1], rows[2], nis, True)
+    return UpdateReport(STATE, tuple(rows[:3]), nis, True)
 
 
 def _after(reports: list[UpdateReport]) -> InnovationNoise:

@@ -16,7 +16,7 @@ ROW = ModalityReport(1.0, 1.0, 1.0, 1.0, 1.0, 0.1)
 
 def _report(nis: float, dof: int) -> UpdateReport:
     rows = [ROW if index < dof else None for index in range(3)]
-    return UpdateReport(STATE, rows[0], rows[1], rows[2], nis, True)
+    return UpdateReport(STATE, tuple(rows[:3]), nis, True)
 
 
 def _monitor(rng: np.random.Generator, count: int, excess: float = 1.0) -> InnovationNoise:

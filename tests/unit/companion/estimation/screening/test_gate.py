@@ -27,7 +27,7 @@ def _row(sigmas: float, prior_share: float = 0.0) -> ModalityReport:
 
 def _gate(ranged: float | None, borne: float | None, inflation: float = 1.0) -> Gate:
     rows = [None if u is None else _row(u) for u in (ranged, borne)]
-    report = UpdateReport(STATE, rows[0], rows[1], None, 0.0, True)
+    report = UpdateReport(STATE, (rows[0], rows[1], None), 0.0, True)
     return Gate.of(report, (inflation, inflation, 1.0))
 
 
@@ -59,7 +59,7 @@ def test_the_gate_is_where_it_says(
 def test_either_cosine_that_is_off_is_a_direction_that_is() -> None:
     """An elevation of its own is none: it stays, weighed by its loss."""
     for first, second in ((0.0, 1.01 * GATE_SIGMAS), (-1.01 * GATE_SIGMAS, 0.0)):
-        report = UpdateReport(STATE, None, _row(first), _row(second), 0.0, True)
+        report = UpdateReport(STATE, (None, _row(first), _row(second)), 0.0, True)
         assert not Gate.of(report, NO_INFLATION, COSINES).passes_bearing
         assert Gate.of(report, NO_INFLATION, AZIMUTH).passes_bearing is (first == 0.0)
 
@@ -67,7 +67,7 @@ def test_either_cosine_that_is_off_is_a_direction_that_is() -> None:
 def test_noise_that_the_run_has_shown_and_a_vague_state_widen_it() -> None:
     assert not _gate(-7.0, 0.0).passes_range
     assert _gate(-7.0, 0.0, inflation=1.5).passes_range
-    vague = UpdateReport(STATE, _row(-50.0, prior_share=100.0), None, None, 0.0, True)
+    vague = UpdateReport(STATE, (_row(-50.0, prior_share=100.0), None, None), 0.0, True)
     assert Gate.of(vague, NO_INFLATION).passes_range
 
 
