@@ -6,10 +6,11 @@ A long run shows a bar with the remaining time on a terminal, and a line now and
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
-from typing import NoReturn, TextIO
+from typing import NoReturn, TextIO, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -21,7 +22,11 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from sim_link.lab.pool import LOCAL, open_pool
+
 EXIT_BAD_INPUT = 2
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -88,6 +93,25 @@ def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
     with Progress(*columns, console=Console(file=stream)) as progress:
         task = progress.add_task("runs", total=total)
         yield lambda share: progress.advance(task, share)
+
+
+def done_by(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    jobs: int,
+    cost: Callable[[Item], float] = lambda _: 1.0,
+    backend: str = LOCAL,
+) -> list[Result]:
+    """Return the result of each item in order, by several processes; stderr shows the progress."""
+    found: dict[int, Result] = {}
+    with (
+        open_pool(backend, min(jobs, len(items))) as pool,
+        shown(sum(map(cost, items)), sys.stderr) as on_done,
+    ):
+        for position, result in pool.results(work, items):
+            found[position] = result
+            on_done(cost(items[position]))
+    return [found[position] for position in range(len(items))]
 
 
 class Lines:

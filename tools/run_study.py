@@ -23,7 +23,7 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
-from tools.console import OneLineParser, non_negative, positive, shown
+from tools.console import OneLineParser, done_by, non_negative, positive, shown
 from tools.study import search_planners, searched_area
 from tools.study.field_flights import flights_of, fly_all, rows_kept
 from tools.study.power_pairs import fly_both, table_of_power
@@ -170,14 +170,11 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
 
 def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
     """Fly a study that no file describes; write what came of its flights, in their order."""
-    study, flown = SIMULATED[arguments.study], dict[int, Any]()
-    runs = arguments.runs or study.flights
-    with open_pool(arguments.backend, arguments.jobs) as pool, shown(runs, sys.stderr) as on_done:
-        for number, found in pool.results(partial(study.fly, seed=arguments.seed), range(runs)):
-            flown[number] = found
-            on_done(1.0)
+    study = SIMULATED[arguments.study]
+    runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
+    flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
     make_folder(out)
-    if study.write(out, [flown[number] for number in sorted(flown)]):
+    if study.write(out, flown):
         return 0
     print(f"run_study: {study.failure}", file=sys.stderr)
     return 1

@@ -37,9 +37,8 @@ import numpy as np
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
-from sim_link.lab.pool import open_pool
 from sim_link.world.environment import ChannelParams
-from tools.console import OneLineParser, non_negative, positive
+from tools.console import OneLineParser, done_by, non_negative, positive
 from tools.study.case import PAPER_BELIEF, Case, Offsets
 from tools.study.metrics import (
     COVERAGE_BAND,
@@ -74,8 +73,6 @@ HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
 WALKS = Path(__file__).resolve().parent.parent / "tests" / "data"
 """Path of one recorded walk."""
 
-OnBlock = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, slots=True)
 class Figure:
@@ -95,15 +92,13 @@ Measured = Sequence[tuple[RunSeries, RunTally]]
 """Runs of every system of a part, in order, with their tallies."""
 
 
-def verified(
-    parts: Sequence[Part], runs: int, seed: int, jobs: int, on_block: OnBlock
-) -> list[Figure]:
+def verified(parts: Sequence[Part], runs: int, seed: int, jobs: int) -> list[Figure]:
     """Run the selected parts; every system gets the same random draws."""
     series = {
         part: [RunSeries(case, system, seed, runs) for case, system in SYSTEMS[part]()]
         for part in parts
     }
-    tallies = iter(tallies_of(list(itertools.chain(*series.values())), jobs, on_block))
+    tallies = iter(tallies_of(list(itertools.chain(*series.values())), jobs))
     return [
         figure
         for part, own in series.items()
@@ -111,25 +106,11 @@ def verified(
     ]
 
 
-def tallies_of(
-    campaigns: Sequence[RunSeries], jobs: int, on_block: Callable[[int, int], None]
-) -> list[RunTally]:
-    """Do campaigns, all their blocks at once.
-
-    Args:
-        jobs: Processes; 1: this one.
-        on_block: Called with the blocks done so far and their total.
-    """
-    blocks = [(index, block) for index, c in enumerate(campaigns) for block in c.blocks()]
-    done: dict[int, RunTally] = {}
-    with open_pool(jobs=min(jobs, len(blocks))) as pool:
-        for position, tally in pool.results(tally_of, [block for _, block in blocks]):
-            done[position] = tally
-            on_block(len(done), len(blocks))
-    return [
-        joined_in_order(done[p] for p, (owner, _) in enumerate(blocks) if owner == index)
-        for index in range(len(campaigns))
-    ]
+def tallies_of(campaigns: Sequence[RunSeries], jobs: int) -> list[RunTally]:
+    """Do campaigns, all their blocks at once, by several processes."""
+    parts = [campaign.blocks() for campaign in campaigns]
+    done = iter(done_by(tally_of, list(itertools.chain(*parts)), jobs))
+    return [joined_in_order(itertools.islice(done, len(own))) for own in parts]
 
 
 def lawnmower_systems() -> list[tuple[Case, System]]:
@@ -280,11 +261,11 @@ def main() -> int:
         if "walks" in (arguments.only or ()):
             lines = walk_lines(arguments.walks)
             if arguments.leave_one_out:
-                lines += left_out_lines(arguments.walks, arguments.jobs, show_progress)
+                lines += left_out_lines(arguments.walks, arguments.jobs)
             print("\n".join(lines))
         figures: list[Figure] = []
         if parts:
-            figures = verified(parts, arguments.runs, arguments.seed, arguments.jobs, show_progress)
+            figures = verified(parts, arguments.runs, arguments.seed, arguments.jobs)
         print("\n".join(line(figure) for figure in figures))
         if arguments.json is not None:
             choices = {"runs": arguments.runs, "seed": arguments.seed}
@@ -313,13 +294,6 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     return parser.parse_args()
-
-
-def show_progress(done: int, total: int) -> None:
-    """Show progress on a terminal."""
-    if sys.stderr.isatty():
-        end = "\n" if done == total else ""
-        print(f"\r{done} of {total} pieces of work", end=end, file=sys.stderr, flush=True)
 
 
 def line(figure: Figure) -> str:

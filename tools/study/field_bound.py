@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,11 +25,10 @@ from companion.io.files import check_writable
 from companion.kernel import Matrix, Vector
 from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.lockstep import Flight, MemoryJournal
-from sim_link.lab.pool import open_pool
 from sim_link.world.environment import in_the_field
 from sim_link.world.point_mass import EulerAngles
 from sim_link.world.radio_channel import AntennaModelParams, direction_enu, seen_by_antenna
-from tools.console import OneLineParser, non_negative, positive, shown
+from tools.console import OneLineParser, done_by, non_negative, positive
 from tools.run_study import STUDIES
 from tools.study.field_flights import FieldFlight, flights_of
 from tools.study.reporting.study_tables import studies_of
@@ -248,13 +246,9 @@ def main() -> None:
             check_writable(arguments.plot)
         flights = flights_to_compare(arguments.runs, arguments.seed, arguments.radios)
         found: dict[str, list[Matrix]] = {task.radio: [] for task in flights}
-        with (
-            open_pool(jobs=arguments.jobs) as pool,
-            shown(sum(task.cut_s for task in flights), sys.stderr) as on_done,
-        ):
-            for position, each in pool.results(compared, flights):
-                found[flights[position].radio].append(each)
-                on_done(flights[position].cut_s)
+        results = done_by(compared, flights, arguments.jobs, lambda task: task.cut_s)
+        for task, each in zip(flights, results, strict=True):
+            found[task.radio].append(each)
     except CompanionError as error:
         parser.error(str(error))
     medians = {radio: np.nanmedian(np.stack(each), axis=0) for radio, each in found.items()}

@@ -42,10 +42,6 @@ def _tally(
     )
 
 
-def _silent(done: int, total: int) -> None:
-    del done, total
-
-
 def test_the_lawnmower_asks_for_rmse_rank_and_offset() -> None:
     series = [RunSeries(case, system, 1, 200) for case, system in lawnmower_systems()]
 
@@ -106,13 +102,13 @@ def test_honesty_is_asked_of_known_noise_and_of_the_papers() -> None:
 def test_parts_can_be_measured_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[RunSeries] = []
 
-    def fake(campaigns: list[RunSeries], jobs: int, on_block: object) -> list[RunTally]:
-        del jobs, on_block
+    def fake(campaigns: list[RunSeries], jobs: int) -> list[RunTally]:
+        del jobs
         asked.extend(campaigns)
         return [_tally() for _ in campaigns]
 
     monkeypatch.setattr("tools.verify_estimation.tallies_of", fake)
-    figures = verified(["bound"], 200, 1, 1, _silent)
+    figures = verified(["bound"], 200, 1, 1)
     assert {figure.part for figure in figures} == {"bound"}
     assert len(asked) == len(bound_systems())
-    assert {f.part for f in verified(PARTS, 200, 1, 1, _silent)} == set(PARTS)
+    assert {f.part for f in verified(PARTS, 200, 1, 1)} == set(PARTS)

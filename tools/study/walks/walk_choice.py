@@ -10,15 +10,14 @@ mixture of line of sight and reflections on each target.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 
 from companion.estimation.tracker_params import TrackerParams
-from sim_link.lab.pool import open_pool
+from tools.console import done_by
 from tools.study.walks.walk_figures import (
     TargetClaims,
     claims_of,
@@ -42,8 +41,6 @@ TRIED: dict[str, dict[str, tuple[float, ...]]] = {
     },
 }
 """Values of `estimation.filter` by preset; every combination is tried."""
-
-AnyJob = TypeVar("AnyJob")
 
 HELD_SHARE = 0.94
 """Share of claims of *localised* that must be inside R95."""
@@ -111,26 +108,10 @@ def rank(targets: Sequence[TargetClaims]) -> tuple[float, float]:
     return max(0.0, HELD_SHARE - held), score(targets)
 
 
-def results_of(
-    run: Callable[[AnyJob], list[TargetClaims]],
-    work: Sequence[AnyJob],
-    jobs: int,
-    progress: Callable[[int, int], None],
-) -> dict[AnyJob, list[TargetClaims]]:
-    """Return the claims of every job, by `jobs` processes."""
-    results: dict[AnyJob, list[TargetClaims]] = {}
-    with open_pool(jobs=jobs) as pool:
-        for position, targets in pool.results(run, work):
-            results[work[position]] = targets
-            progress(len(results), len(work))
-    return results
-
-
-def left_out_lines(
-    folder: Path, jobs: int = 1, progress: Callable[[int, int], None] = lambda _, __: None
-) -> list[str]:
+def left_out_lines(folder: Path, jobs: int = 1) -> list[str]:
     """Return the variant that the other files choose for each file, and its pooled figures."""
-    return choices(results_of(flown, jobs_in(folder), jobs, progress))
+    work = jobs_in(folder)
+    return choices(dict(zip(work, done_by(flown, work, jobs), strict=True)))
 
 
 def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:

@@ -96,9 +96,7 @@ def test_results_are_those_of_the_campaigns(tmp_path: Path) -> None:
     carried_out(work, Pool(), store, _done)
     (result,) = results_of(studies, SEED, store)
     campaigns = [RunSeries(cell.case, cell.system, SEED, RUNS) for cell in result.cells]
-    for cell, tally in zip(
-        result.cells, tallies_of(campaigns, 1, lambda _d, _t: None), strict=True
-    ):
+    for cell, tally in zip(result.cells, tallies_of(campaigns, 1), strict=True):
         np.testing.assert_array_equal(cell.tally.final_errors_m, tally.final_errors_m)
         np.testing.assert_array_equal(cell.tally.rmse_m, tally.rmse_m)
     assert [(cell.value, cell.system.label) for cell in result.cells] == [
