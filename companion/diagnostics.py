@@ -64,9 +64,9 @@ class ProcessUse:
     """Resources of the process at a moment."""
 
     resident_mb: float
-    """Memory in RAM now; the peak where the system does not say."""
+    """Present memory in RAM; the peak if the system does not report it."""
     descriptors: int | None
-    """Open files and sockets; None where the system does not say."""
+    """Open files and sockets; None if the system does not report them."""
     threads: int
     processor_s: float
     """User and system time since the start."""

@@ -288,11 +288,11 @@ class WaypointReason(Enum):
     INFORMATION = "information"
     """Fly to the point where one more measurement is expected to be most informative."""
     SEARCH = "search"
-    """Fly a search pattern: there is no contact yet, or no more."""
+    """Fly a search pattern, before contact or after its loss."""
     DETOUR = "detour"
     """Fly to a corner of the way around a keep-out or along the fence, or out of a keep-out."""
     HOLD = "hold"
-    """Stay: there is no estimate, it is close enough, or there is no way."""
+    """Stay: there is no estimate, it is close enough, or no path exists."""
 
 
 @dataclass(frozen=True, slots=True)

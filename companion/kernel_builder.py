@@ -131,7 +131,7 @@ def configurations() -> Iterator[Any]:
 
 
 def compile_recorded(recorders: Iterable[Recorder], package: Path) -> Variants:
-    """Compile each kernel for the recorded types, under names of their own."""
+    """Compile each kernel for the recorded types, under separate names."""
     compiler: Any = importlib.import_module("numba.pycc").CC(CODE)  # has no type hints
     compiler.output_dir = str(package)
     called = [each for each in recorders if each.calls]

@@ -151,7 +151,7 @@ def can_compile() -> bool:
 def compile_kernels() -> None:
     """Compile the kernels in another process and keep them, which takes some half a minute.
 
-    Two processes may do so at once: each builds in a folder of its own, and the first one's stays.
+    Two processes may build at once, each in its own folder; the first one's is kept.
 
     Raises:
         CompanionError: Something for compiling is missing, it failed, or nothing can be kept.

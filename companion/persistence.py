@@ -136,7 +136,7 @@ class RestartKeeper:
             self._save(now_s)
 
     def close(self, timeout_s: float) -> None:
-        """Save the memory of a mission that goes on without the companion, else delete it."""
+        """Save the memory of a mission that continues without the companion, else delete it."""
         session = self._endpoint.session
         is_over = session.has_found_all or session.is_search_over
         is_over = is_over or not session.vehicle.is_armed

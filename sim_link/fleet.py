@@ -29,7 +29,7 @@ from sim_link.autopilot.scenario import Scenario
 
 
 def load_scenario(path: Path) -> Scenario:
-    """Return the scenario of a YAML file, canonical where it says nothing.
+    """Return the scenario of a YAML file, with canonical values for missing keys.
 
     `ConfigError`: it is wrong.
     """
@@ -142,7 +142,7 @@ MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
 SAVE_PERIOD_S = 1.0
 NO_KEY = 2 * KEY_LENGTH * "0"
-"""SETUP_SIGNING's way to say that there is no signing."""
+"""Key with which SETUP_SIGNING switches signing off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +253,7 @@ def link_specs(options: FleetOptions, number: int) -> list[Transport]:
 
 
 def links_of_others(options: FleetOptions) -> list[Transport]:
-    """Return a link for each other vehicle that has an address of its own, from a free port."""
+    """Return a link from a free port for each other vehicle with its own address."""
     others = [each for each in options.scenario.other_vehicles if each.has_own_address]
     return [UdpFanOut(options.listen[0], 0, options.send_to) for _ in others]
 

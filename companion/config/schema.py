@@ -72,7 +72,7 @@ class LimitsConfig(Params, frozen=True):
     acceleration_mps2: Positive = 2.5
     """Acceleration of setpoints, and the deceleration that the vehicle reaches in any case."""
     step_m: ClassVar[float] = 8.0
-    """Farther ahead of the vehicle than this a setpoint is no faster than the vehicle."""
+    """Lead over the vehicle beyond which a setpoint moves no faster than the vehicle, metres."""
     latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.5
     """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     navigation_sigma_m: ClassVar[float] = 0.3
@@ -239,7 +239,7 @@ class PlannerConfig(Params, frozen=True):
     left is best."""
     pattern: PatternConfig = PatternConfig()
     lost_after_s: Positive = 20.0
-    """Without a usable measurement for this long, the search goes on."""
+    """Time without a usable measurement after which the search pattern resumes."""
     latched_crossing: LatchedCrossingParams = LatchedCrossingParams()
 
     def __post_init__(self) -> None:
@@ -271,7 +271,7 @@ class CompanionConfig(Params, frozen=True):
     vehicle: VehicleParams = VehicleParams()
     link: LinkParams = LinkParams()
     radios: tuple[RadioConfig, ...] = ()
-    """Radios with formats of their own."""
+    """Radios with their native formats."""
     log: LogConfig = LogConfig()
     process: ProcessConfig = ProcessConfig()
 

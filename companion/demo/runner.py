@@ -396,7 +396,7 @@ SCREENS = ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")
 
 
 def open_page(url: str) -> bool:
-    """Open a page without blocking the flight; return False if there is no screen."""
+    """Open a page without blocking the flight; return False without a screen."""
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in SCREENS):
         return False
     threading.Thread(target=_open, args=(url,), name="browser", daemon=True).start()

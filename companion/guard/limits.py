@@ -105,7 +105,7 @@ class Envelope:
     acceleration_mps2: float
     """Acceleration limit of the setpoint, horizontally and vertically."""
     step_m: float
-    """Farther ahead of the vehicle than this the setpoint is no faster than the vehicle."""
+    """Lead over the vehicle beyond which the setpoint moves no faster than the vehicle."""
 
     def __post_init__(self) -> None:
         """Refuse limits that contradict each other."""

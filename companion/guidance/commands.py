@@ -170,7 +170,7 @@ class SessionParams(Params, frozen=True):
     on_localised: Literal["hold", "return", "land"] = "hold"
     """Mode to request after the report, a value of `FlightMode`."""
     searches_on: bool = msgspec.field(default=False, name="continue")
-    """True: after a report the search goes on for further emitters."""
+    """True if the search continues for further emitters after a report."""
     ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5, le=3600.0)] = 5.0
     """Without a usable measurement for this long: hold."""
     degraded_after_s: Waiting = 2.0

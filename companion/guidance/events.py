@@ -404,7 +404,7 @@ class UncleanExitFound(Event):
     """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
 
     vehicle: VehicleMark | None = None
-    """The vehicle of that run as it is expected now; None: unknown."""
+    """Expected present state of that run's vehicle; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)

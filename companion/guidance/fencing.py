@@ -73,7 +73,7 @@ class FencePlan:
 
 
 class Fencing:
-    """Sets the guard's fence, or says why it has none; without a plan the guard keeps its own."""
+    """Sets the guard's fence, or the reason for its absence; without a plan it stays."""
 
     def __init__(self, guard: Guard, plan: FencePlan | None = None) -> None:
         local = FencePlan(guard.limits, 0.0)

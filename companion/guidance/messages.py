@@ -331,7 +331,7 @@ HARMLESS = frozenset(
         RejectReason.OWN_JUMP,
     }
 )
-"""Reasons that are no fault of the radio; a jump of the vehicle has a text of its own."""
+"""Reasons that are not the radio's fault; a jump of the vehicle has its own text."""
 
 
 class RejectMessages:

@@ -156,5 +156,5 @@ TRANSITIONS = {
 
 
 def next_phase(phase: Phase, trigger: Trigger) -> Phase:
-    """Return the phase after a trigger; a trigger without a transition leaves it as it is."""
+    """Return the phase after a trigger; a trigger without a transition does not change it."""
     return TRANSITIONS.get((phase, trigger), phase)

@@ -52,7 +52,7 @@ IMPROVED_SHARE = 0.92
 WORSE_RATIO = 1.5
 """R95 that has grown by more sets a new mark: measurements contradicted the old one."""
 MOST_SETTLED_M = 100.0
-"""R95 above this is no position, unless no better one was requested (`localised_r95_m`)."""
+"""R95 above which no position is reported, unless `localised_r95_m` is larger."""
 ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 

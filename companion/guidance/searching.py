@@ -47,7 +47,7 @@ LONGEST_GAP_S = 1.0
 """Longest pause between two control ticks that still counts as searched."""
 TRACK_STEP_M = 5.0
 WORTH_REPORTING_S = 10.0
-"""Contact sooner than this is no search."""
+"""Time before contact below which a flight does not count as a search."""
 WORTH_REPORTING_SHARE = 0.01
 """Probability outside of the fence that is worth a warning."""
 STATE_EVERY_S = 2.0
@@ -260,7 +260,7 @@ class Searching:
             self.state = self._area.state
 
     def end(self, sweeps: int) -> str | None:
-        """Return the reason to end a search by pattern, in words; None: it goes on."""
+        """Return the reason to end a pattern search, in words; None to continue."""
         params = self.params
         if not self.is_counting or not self.is_worth_reporting:
             return None

@@ -61,7 +61,7 @@ MODE_UNKNOWN_AFTER_S = 10.0
 MAX_MODE_AGE_S = 1.0
 """Age at which a reported mode is out of date."""
 DOUBT_TIMEOUT_S = 5.0
-"""Time after which a vehicle that still reports our mode may be asked for another one."""
+"""Time after which another mode may be requested of a vehicle that still reports ours."""
 MAX_STAMPED = 256
 """Two seconds of a busy link."""
 LATE_S = 3.0

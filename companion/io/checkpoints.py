@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 class CheckpointError(Exception):
-    """Bytes that are no checkpoint of this program; the message says why."""
+    """Bytes are not a checkpoint of this program; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -433,7 +433,7 @@ def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str,
 
 
 def damage_text(path: Path | str, unit: str, places: Sequence[int]) -> str:
-    """Return the line that says where a log is damaged, or an empty text if it is not."""
+    """Return the line that locates a log's damage, or an empty text."""
     if not places:
         return ""
     more = "" if len(places) == 1 else f" and at {len(places) - 1} more places"

@@ -200,7 +200,7 @@ def read_radio_recording(
 ) -> tuple[RecordingHeader, Iterator[Record]]:
     """Return the header and an iterator of the records; a `ConfigError` names the faulty line.
 
-    With `on_damage` a line that is no record is left out, and its number passed on.
+    With `on_damage` an invalid line is skipped and its number reported.
     """
     lines = _lines(path)
     number, line = next(lines, (1, b""))

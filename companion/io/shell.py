@@ -70,7 +70,7 @@ STOP_DEADLINE_S = 1.5
 """Wall seconds from the first stop request to the end, whatever the endpoint says; closing the logs
 takes the rest of the two seconds that a stop may last."""
 SAME_SIGNAL_S = 0.3
-"""Wall seconds after a signal in which another one is the same request."""
+"""Wall seconds within which a second signal counts as the same request."""
 LATE_S = 0.05
 """A timer later than this has missed a whole control tick."""
 STALL_S = 0.2

@@ -308,7 +308,7 @@ class CompanionEndpoint:
     ) -> None:
         """Process a frame on the vehicle link; the log has no room for every unknown peer's.
 
-        One without a signature, where there is a key, is no evidence about the autopilot.
+        With a key, an unsigned frame is not evidence about the autopilot.
         """
         binding, peer, (sequence, sender, number) = self.binding, chunk.peer, header
         is_peer = peer == binding.peer

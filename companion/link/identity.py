@@ -385,7 +385,7 @@ class HardwareId:
             self.ask_again()
 
     def differs(self, uid: str, now_s: float) -> bool:
-        """Process an answered id; return True if another one was answered before."""
+        """Process an answered id; return True if a different one was answered before."""
         if self.uid is None:
             self.uid = uid
         if uid == self.uid:

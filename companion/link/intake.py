@@ -184,7 +184,7 @@ class Intake:
         self._binding = binding
 
     def take(self, chunk: Chunk) -> list[bytes]:
-        """Return the verified frames of a chunk, or a raw chunk as it is, within the budget."""
+        """Return the verified frames of a chunk, or a raw chunk unchanged, within the budget."""
         if self.is_raw:
             return [chunk.data] if self.budget.spend_raw(len(chunk.data)) else []
         codec, spend, peer, binding = self.codec, self.budget.spend, chunk.peer, self._binding

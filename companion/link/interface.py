@@ -155,7 +155,7 @@ class EmitterNames:
         return number
 
     def _key(self, emitter: str | int) -> str | float | None:
-        """Return a normalised name; None: it is no frequency where only those are names."""
+        """Return a normalised name; None if names must be frequencies and it is not."""
         if self._tolerance_mhz:
             try:
                 return float(emitter)

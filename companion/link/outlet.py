@@ -183,7 +183,7 @@ class Outlet:
         self.send_to_stations(message)
 
     def send_to_stations(self, message: Message) -> None:
-        """Queue a message for ground stations on links of their own, once the vehicle is known."""
+        """Queue a message for ground stations on `--gcs` links, once the vehicle is known."""
         if not self._binding.is_bound:
             return  # our system id is not known yet
         for link in self._gcs_links:

@@ -36,7 +36,7 @@ autopilot's."""
 MAX_SENDERS = 16
 """Limit of ranging senders of a link whose clocks are kept."""
 RATE_MAX_HZ = 20.0
-"""Measurements per second of one emitter, as for radios with formats of their own
+"""Measurements per second of one emitter, as for radios with their native formats
 (`rate_max_hz`)."""
 MAX_EMITTERS = 16
 """Emitters of one sender with separate rates: as many as `emitters.most` allows."""

@@ -64,7 +64,7 @@ class SignatureVerdict(Enum):
     """Result of verifying a received frame."""
 
     SIGNED = "signed"
-    """Authentic: the sender has the key, and the frame is no replay."""
+    """Authentic: the sender has the key, and the frame is not a replay."""
     UNSIGNED_ALLOWED = "unsigned, allowed"
     UNSIGNED = "unsigned"
     BAD_SIGNATURE = "bad signature"
@@ -235,7 +235,7 @@ class LinkSigning:
         ).is_accepted
 
     def sign(self, frame: bytes, crc_extra_by_id: Mapping[int, int]) -> bytes:
-        """Return the frame as it is sent on this link."""
+        """Return the frame in the form sent on this link."""
         return self.signing.sign(frame, self.link_id, crc_extra_by_id[message_id(frame)])
 
 

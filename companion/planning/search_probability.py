@@ -1,4 +1,4 @@
-"""Search by the chance that is left: the pattern where it is even, and where the map says so.
+"""Search by remaining probability: a pattern if it is uniform, else legs where it is highest.
 
 Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
 pattern over the whole area, lanes over the cells that hang together above a level of the density
@@ -128,7 +128,7 @@ class ProbabilityPlanner(SearchPlanner):
         self._table = table
 
     def plan(self, request: PlanRequest, memory: SearchMemory | None) -> Plan[SearchMemory | None]:
-        """Return the end of the leg, or the path to its start; the decision goes on."""
+        """Return the end of the leg, or the path to its start, while the decision continues."""
         if not isinstance(memory, ProbabilityMemory):
             memory = self._begun(request)
         if request.outlook is None:

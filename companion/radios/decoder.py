@@ -34,7 +34,7 @@ MOST_KEPT_BYTES = 65_536
 MOST_SHOWN = 80
 """Characters of a line that is shown."""
 MOST_REASONS = 32
-"""Reasons with a count of their own; further ones are counted as `other`."""
+"""Number of reasons counted separately; further ones count as `other`."""
 POWER_ONLY = "received power only: rssi, lora_gateway and uavrt read it (docs/radios.md)"
 _POWER = re.compile(
     r"-\d{1,3}(?:\.\d+)? ?dBm\b"

@@ -148,7 +148,7 @@ _SAYS_INVALID = re.compile(
     r"|\b(?-i:INVALID|NOT VALID)\b",
     re.IGNORECASE,
 )
-"""Status words in the place of a value, a cell of their own, or in capitals."""
+"""Status words instead of a value, in a separate cell, or in capitals."""
 
 _SIGMAS = frozenset(field.name for field in fields(RadioReading) if "_sigma_" in field.name)
 _ANGLE_NAMES = ("azimuth_rad", "elevation_rad")
@@ -239,7 +239,7 @@ def is_overflow_m(range_m: float) -> bool:
 
 
 def says_invalid(line: str) -> bool:
-    """Return True if a line says by a status of its own that its values are not valid."""
+    """Return True if a line's own status marks its values as invalid."""
     return _SAYS_INVALID.search(line) is not None
 
 

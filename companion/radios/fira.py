@@ -58,7 +58,7 @@ def range_of(centimetres: int, status: int) -> float | None:
 
 PACKET_HEADER = 4
 LAST_PACKET, MORE_FOLLOWS = 0x62, 0x72
-"""First byte of a SESSION_INFO notification, by whether its payload goes on in the next packet."""
+"""First byte of SESSION_INFO notifications, without and with a continuation packet."""
 MOST_PACKETS = 32
 SESSION_INFO = Struct("<IIBIBBB8xB")
 """Sequence, session, reserved, interval, type, reserved, address mode, number of measurements."""

@@ -34,7 +34,7 @@ FIRST_EPOCH_MS, LAST_EPOCH_MS = 1.0e12, 1.0e13
 """Range of a clock that has been set: 2001 to 2286."""
 LONGEST_CPI_MS = 60_000.0
 AWAY_MS = 10_000.0
-"""A frequency missing for so long while another one is heard is no longer tuned."""
+"""Time after which a frequency that is missing while another is heard counts as not tuned."""
 STILL_S = 5.0
 """A page that does not change for this long is reported; it is read more often than it changes."""
 LEAST_HZ = 1e6
@@ -123,7 +123,7 @@ class _Channels:
     def _next(self, before: _Channel | None, time_ms: float, now_s: float) -> _Channel:
         """Return the channel's next state.
 
-        A frequency is new again after another one was received.
+        A frequency counts as newly tuned after another was received.
         """
         others = self._seen.values()
         beside = [one for one in others if one.last_ms == time_ms]

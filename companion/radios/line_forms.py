@@ -157,7 +157,7 @@ class PozyxOptions(Params, frozen=True):
     """Selects the other Pozyx that is ranged to over USB."""
 
     tag: str = ""
-    """Network id in hexadecimal, as it is printed on the device; empty: nothing is asked."""
+    """Network id in hexadecimal, as printed on the device; empty: no requests are sent."""
 
 
 class PozyxDecoder(FormDecoder):

@@ -187,7 +187,7 @@ class UavrtDecoder(FrameDecoder):
         return end + 1 - at
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """Return the reading of a confirmed pulse; None if this is no pulse."""
+        """Return the reading of a confirmed pulse; None if this is not a pulse."""
         if frame[0] != 0:
             found = self._LINE.fullmatch(frame)
             if found is None:

@@ -89,7 +89,7 @@ class MakerfabsAtDecoder(SlotDecoder):
         return b"AT+SETRPT=1\r\n"
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return one reading per slot that answered, from centimetres; 0 is no answer."""
+        """Return one reading per slot that answered, from centimetres; 0 means no answer."""
         found = self._REPORT.search(line)
         if not found:
             return self.passed_over(line)

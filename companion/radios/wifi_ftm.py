@@ -1,4 +1,4 @@
-"""Wi-Fi fine time measurement as it is printed: the ESP32's console, Linux `iw`.
+"""Printed Wi-Fi fine time measurements: the ESP32's console, Linux `iw`.
 
 Sources: espressif/esp-idf `examples/wifi/ftm`, espressif/arduino-esp32
 `libraries/WiFi/examples/FTM`; greearb/iw-ct `measurements.c`, domienschepers/wifi-ftm. Ranges are

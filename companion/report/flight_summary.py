@@ -131,7 +131,7 @@ class FlightSummary:
     links: list[Line] = field(default_factory=list)
     """The counters of the links, in order."""
     radios: dict[int, Line] = field(default_factory=dict)
-    """The last figures of each radio with a format of its own, by its number."""
+    """Last figures of each radio with a native format, by its number."""
     results: list[Line] = field(default_factory=list)
     """The first report of each emitter, in order."""
     ended_s: float = 0.0

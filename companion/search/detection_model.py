@@ -82,7 +82,7 @@ half the radius of a disc, 6 dB below the reach at an exponent of 2; where recep
 
 
 class DetectionParams(Params, frozen=True):
-    """The radio link of the search, as it is configured."""
+    """Radio link of the search, as configured."""
 
     reach_m: Positive | None = None
     """Slant range at which half of the answers are received, without shadowing; null: that of the
@@ -122,7 +122,7 @@ class DetectionParams(Params, frozen=True):
 
 
 class DetectionModel(DetectionParams, frozen=True):
-    """The radio link of the search, as it is assumed."""
+    """Radio link of the search, as assumed."""
 
     reach_m: Positive
     reach_sigma_db: ReachSigmaDb = CONFIGURED_SIGMA_DB

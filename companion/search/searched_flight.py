@@ -168,7 +168,7 @@ def pieces_of(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:
 
 
 def place_name(grid: SearchGrid, cells: Bools) -> str:
-    """Return where in the area cells lie, as a person says it: `NE corner`, `W side`, `centre`."""
+    """Describe the position of cells in the area: `NE corner`, `W side`, `centre`."""
     if cells.mean() > 0.5:
         return "most of the area"
     centres = grid.centres_enu_m
@@ -206,9 +206,9 @@ class SearchAreaParams(Params, frozen=True):
     cell_m: ClassVar[float] = 20.0
     """Side of a cell."""
     stop_pos: Probability | None = None
-    """The search ends, with nothing heard, at this probability of success; null: it goes on."""
+    """Probability of success at which a search without contact ends; null: it continues."""
     stop_sweeps: Annotated[int, msgspec.Meta(ge=1, le=100)] | None = None
-    """Number of complete patterns after which the search ends; null: it goes on."""
+    """Number of complete patterns after which the search ends; null: it continues."""
 
 
 class StoredGrid(msgspec.Struct, frozen=True):
@@ -222,7 +222,7 @@ class StoredGrid(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, grid: SearchGrid) -> StoredGrid:
-        """Return the grid as it is stored: cells outside of the area are null."""
+        """Return the grid in its stored form, with null for cells outside the area."""
         rows = grid.on_map(grid.poa, math.nan).tolist()
         poa = [[None if math.isnan(value) else value for value in row] for row in rows]
         return cls(grid.west_m, grid.south_m, grid.cell_m, poa)
@@ -260,7 +260,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     origin: LocalOrigin | None
     detection: DetectionModel | None = None
     learnt: LearntReach | None = None
-    """Reach as the first contact showed it; None: as `reach_from` says."""
+    """Reach observed at the first contact; None: the one of `reach_from`."""
     reach_from: ReachSource = "configured"
     grid: StoredGrid | None = None
     looks: list[tuple[float, float, float, float]] = []

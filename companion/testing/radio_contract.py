@@ -102,7 +102,7 @@ def read_golden(path: Path) -> list[RadioReading]:
 
 
 def fault_of(readings: object) -> str | None:
-    """Return the fault in a decoder's result, for any input; None: there is none."""
+    """Return the fault in a decoder's result for any input; None without a fault."""
     if not isinstance(readings, list):
         return f"feed returned {type(readings).__name__}, not a list"
     for reading in readings:

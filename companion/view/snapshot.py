@@ -4,7 +4,7 @@ Lengths are metres in the local frame, east first; times are seconds of the comp
 unknown value is None. Texts are unescaped: a view has to escape them. The operator's
 next step is one or two short sentences at every moment.
 
-The flight as a line now and then, where there is no live screen.
+The flight as occasional lines, if there is no live screen.
 """
 
 from __future__ import annotations
@@ -349,7 +349,7 @@ WINDOW_S = 15.0
 """The radius shrinks in steps, crossing by crossing: a shorter window jumps, a longer one lags."""
 MIN_WINDOW_S = 5.0
 MAX_S = 600.0
-"""A longer time to go is no better than none."""
+"""Longest remaining time that is shown."""
 
 
 class TimeToGo:

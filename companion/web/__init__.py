@@ -1,1 +1,1 @@
-"""The live map: a web page in a process of its own, fed through a pipe that never waits."""
+"""Live map: a web page in a separate process, fed through a pipe that never blocks."""

@@ -114,7 +114,7 @@ PICTURE_PERIOD_S = 0.25
 """Period of the pictures in flight time; faster than an eye needs, slower than a Raspberry Pi
 notices."""
 MAX_LINE = 1_000_000
-"""More than this without a line's end is no button."""
+"""Longest input without a line end; a longer one does not come from a button."""
 END_S = 2.0
 LAST_WAIT_S = 0.02
 REAP_S = 0.01

@@ -28,7 +28,7 @@ PHASE_COLOURS = {
 UNDER_WAY = frozenset({"normal", "degraded", "hold"})
 """Phases with a next waypoint and a time to go."""
 SEVERITIES = frozenset({"error", "warning", "notice"})
-"""Those with a colour of their own."""
+"""Severities with their own colour."""
 TEXTS_SHOWN = 30
 
 Json = Mapping[str, Any]
@@ -266,7 +266,7 @@ class EmitterList(_ChangingLines):
 
 
 class RadioList(_ChangingLines):
-    """Every radio with a format of its own, and its state."""
+    """Every radio with a native format, and its state."""
 
     def __init__(self) -> None:
         super().__init__(_panel("Radios"), "gap-0", "radios")

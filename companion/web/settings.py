@@ -80,7 +80,7 @@ class Access:
 
 
 def _parsed(address: str, part: Literal["hostname", "netloc"]) -> str | None:
-    """Return a part of an address; None if it has none, or is no address at all."""
+    """Return a part of an address; None if missing, or if the address is malformed."""
     try:
         found: str | None = getattr(urlsplit(address), part)
     except ValueError:
@@ -96,7 +96,7 @@ NO_TILE = bytes.fromhex(
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
-    """Return the least and the greatest zoom of `z/x/y.png` in a folder; None: there is no tile."""
+    """Return the least and the greatest zoom of `z/x/y.png` in a folder; None without tiles."""
     numbered = (path for path in folder.iterdir() if path.name.isdecimal())
     tiles = (tile for path in numbered for tile in path.glob("*/*.png"))
     zooms = [

@@ -264,7 +264,7 @@ class Aircraft:
         self.estimator.step(self.time_s, self.body.position_enu_m, STEP_S)
 
     def set_home(self, place_enu_m: PositionEnu, *, is_given: bool) -> None:
-        """Move home; `is_given` where a station says so."""
+        """Move home; `is_given` if requested by a station."""
         self.home_enu_m = self.pilot.home_enu_m = place_enu_m
         self.is_home_given = is_given
         self.home_set_s = self.time_s

@@ -174,7 +174,7 @@ class StickInput:
         self.joystick_timeout_s = JOYSTICK_TIMEOUT_S
         """A joystick or an override that was silent for this long has ended."""
         self.resting = CENTRED if params.is_present else None
-        """Rest positions of the transmitter's sticks; None: there is no transmitter."""
+        """Rest positions of the transmitter's sticks; None without a transmitter."""
         self._joystick: Sticks = CENTRED
         self._joystick_s: float | None = None
         self._moved: Sticks = CENTRED

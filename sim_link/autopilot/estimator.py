@@ -248,7 +248,7 @@ class Estimator:
     def told_accuracy_m(self) -> tuple[float, float]:
         """Horizontal and vertical accuracy that it reports, one sigma; 0: unknown.
 
-        Without an error of its own it is a receiver with RTK, and what jitters is its noise.
+        Without configured errors it is an RTK receiver with white noise.
         """
         ratio, noise_m = self.navigation.reported_ratio, self._noise_m
         if not self.navigation.reports_accuracy:

@@ -209,7 +209,7 @@ class OtherComponent(IncidentRecord, frozen=True, tag="component"):
 
 
 class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
-    """Another vehicle in the air is heard on the link, with a clock and a companion of its own."""
+    """Another vehicle in the air is heard on the link, with its own clock and companion."""
 
     system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] = 2
     """The same as ours where two left their factory alike."""

@@ -133,7 +133,7 @@ class OtherComponentSender:
 
 STATION_IDS = (254, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 STATION_CHANNEL = Channel(0, ("other station", 0))
-"""Link of its own; only this station receives the answers on it."""
+"""Separate link on which only this station receives the answers."""
 E7 = 1e7
 FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 

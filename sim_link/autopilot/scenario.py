@@ -59,7 +59,7 @@ class AutopilotParams(Params, frozen=True):
 
     flavour: FlavourName = "px4"
     vehicle_type: VehicleTypeName = "quadrotor"
-    """Class that it says it is, with the modes of that class; it moves as a multicopter."""
+    """Reported vehicle class, with the modes of that class; it moves as a multicopter."""
     uid: Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None = None
     """Hardware id that AUTOPILOT_VERSION reports; null: the system id; 0: none."""
     offers_offboard: bool = False
@@ -166,7 +166,7 @@ class Scenario(Params, frozen=True):
     incidents: tuple[Incident, ...] = ()
     """Incidents with their times, in any order."""
     other_vehicles: tuple[OtherVehicle, ...] = ()
-    """Other vehicles in the air, with companions of their own, that are heard beside this one."""
+    """Other vehicles in the air with their own companions, heard beside this one."""
     vehicles: VehicleCount = 1
     """Number of these vehicles in one process."""
     position_noise_m: NonNegative = 0.0

@@ -228,11 +228,11 @@ _CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for bui
     mavlink.MAVLink_scaled_pressure2_message: motion.scaled_pressure,
 }
 BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.items()}
-"""All supported messages; a firmware's rates say which of these it has."""
+"""All supported messages; a firmware has those with a rate."""
 
 
 def build_message(vehicle: SimVehicle, number: int) -> Message | None:
-    """Return the message with id `number`, or None if it is unknown or has nothing to say now."""
+    """Return the message with id `number`; None if unknown, or without data at present."""
     if number not in BUILDERS or number not in vehicle.flavour.firmware.streams.default_rates_hz:
         return None
     message, build = BUILDERS[number]

@@ -152,7 +152,7 @@ class KrakenSuite(Kraken):
 
 
 def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
-    """Return a row; its spectrum has the noise of its own result."""
+    """Return a row whose spectrum has the same noise as its result."""
     bearing_deg = (360 - found.theta_deg) % 360
     noise = np.random.default_rng(found.epoch_ms).uniform(0.0, 0.05, len(RING))
     spectrum = ", ".join(
@@ -194,7 +194,7 @@ def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tai
 class Uudf(LineEmulator):
     """A C209 board: whole degrees about its upright to the right, and upwards; no range.
 
-    What it does not know of the elevation it says as 0.
+    An unknown elevation is sent as 0.
     """
 
     name = "uudf"

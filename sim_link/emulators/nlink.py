@@ -98,7 +98,7 @@ def with_sum(frame: bytes) -> bytes:
 
 
 def variable_frame(mark: int, body: bytes, head: int = 0x55) -> bytes:
-    """Return a frame that says its length."""
+    """Return a frame that contains its length."""
     return with_sum(bytes((head, mark)) + struct.pack("<H", 5 + len(body)) + body)
 
 

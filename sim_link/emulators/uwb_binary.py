@@ -41,7 +41,7 @@ class UciRecord:
 
     @property
     def wire(self) -> bytes:
-        """31 bytes; a figure of merit of 0 says that there is no angle."""
+        """31 bytes; a figure of merit of 0 means no angle."""
         head = struct.pack("<HBBH", self.address, self.status, self.path, self.distance_cm)
         angles = fom_angle(self.azimuth_deg, self.azimuth_fom)
         angles += fom_angle(self.elevation_deg, self.elevation_fom)
@@ -73,7 +73,7 @@ def session_info(
 def uci_packets(payload: bytes) -> bytes:
     """Return a notification of the session group.
 
-    All packets but the last say that more follows.
+    All packets but the last announce a continuation.
     """
     pieces = [payload[at : at + MOST_PAYLOAD] for at in range(0, len(payload), MOST_PAYLOAD)]
     packets = b""
@@ -143,7 +143,7 @@ class Sr150Frame:
 
     @property
     def wire(self) -> bytes:
-        """Behind a command byte; a figure of merit of 0 says that there is no angle."""
+        """After a command byte; a figure of merit of 0 means no angle."""
         head = (0x8E, 0x30, self.sequence, SESSION, 100, SR150_ADDRESS, self.peer, self.status)
         azimuth, elevation = (q9_7(deg or 0.0) for deg in (self.azimuth_deg, self.elevation_deg))
         azimuth_fom = 0 if self.azimuth_deg is None else self.foms[0]

@@ -45,7 +45,7 @@ def dist_line(
 class Pans(Emulator):
     """A DWM1001 tag whose shell prints `lec` lines, as it was left; `lec` stops them, and starts.
 
-    Where no anchor answers there is no line.
+    Without an answering anchor no line is printed.
     """
 
     name = "pans"

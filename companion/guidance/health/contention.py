@@ -46,7 +46,7 @@ MEMORY_S = 30.0
 GRACE_S = 2.0
 """Time after the start of control, or a pause, during which an echo may be of earlier targets."""
 PAUSE_S = 0.5
-"""Pause of ours after which the autopilot echoes a position of its own."""
+"""Pause of our setpoints after which the autopilot echoes its own position."""
 MAX_LAG_S = 2.0
 """Longest age of the newest setpoint that is known to have arrived."""
 FOREIGN_ECHOES = 3

@@ -284,7 +284,7 @@ class ReopeningLink(StreamLink):
         """Return a handle and its non-blocking descriptor; raises the `OSError` of opening one."""
 
     async def open(self) -> None:
-        """Begin to connect; it is no error if the peer is not there yet."""
+        """Begin to connect; a peer that is not there yet is not an error."""
         self._start()
 
     def _start(self) -> None:

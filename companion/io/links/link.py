@@ -22,7 +22,7 @@ from companion.mav.endpoint import Address, Chunk
 
 logger = logging.getLogger("companion.io")
 NOTICE = logging.INFO + 5
-"""Level of a change that is no fault: `--quiet` shows it, too."""
+"""Log level of changes that are not faults; `--quiet` shows them, too."""
 
 Received = Callable[[list[Chunk]], None]
 """Called once per wake-up of a link with the bytes read."""

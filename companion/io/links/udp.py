@@ -238,7 +238,7 @@ class UdpLink(Link):
     def hear_only(self, peer: Address | None) -> None:
         """Let the kernel drop datagrams of other peers.
 
-        Acts on changes only, as it is called often.
+        Called often, so it acts on changes only.
         """
         if peer == self._sole_peer or self._socket is None:
             return

@@ -1,4 +1,4 @@
-"""Links with blocking reads, each in a thread of its own: polled web pages, files, web sockets.
+"""Links with blocking reads, each in its own thread: polled web pages, files, web sockets.
 
 Theory of operation. A server that hangs and a disk that sleeps block a thread, never the loop. The
 thread hands over what it has read in pieces and waits until they are taken, so that nothing grows

@@ -289,7 +289,7 @@ TERMINATE = 5
 EVEN_WITHOUT_POSITION = 3
 """Value of FS_EKF_ACTION: also in modes that need no position."""
 CONTINUE_IN_GUIDED = 4
-"""Bit of FS_OPTIONS: GUIDED goes on without the transmitter."""
+"""Bit of FS_OPTIONS: GUIDED continues without the transmitter."""
 TWO_VOTES = 2
 EKF_PATIENCE_S = 1.0
 """Time for which the estimate must be bad, and then good again."""

@@ -79,7 +79,7 @@ class Command:
     """MAV_FRAME of a COMMAND_INT; None for COMMAND_LONG, which has none."""
     confirmation: int = 0
     acknowledged_as: int | None = None
-    """Number in the ACK instead of its own."""
+    """Command number in the ACK, if it differs from the command's own."""
 
     def whole(self, place: int, default: int | None = None) -> int | None:
         """Return a parameter that must be a whole number.

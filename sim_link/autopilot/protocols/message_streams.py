@@ -161,7 +161,7 @@ class StreamTable:
 
 MAX_MESSAGE_ID = 2**24 - 1
 MAX_PEERS = 16
-"""Peers with streams of their own; one with many ports loses those of its oldest."""
+"""Largest number of peers with separate streams; one with many ports loses its oldest."""
 MAX_INTERVAL_ID = 0xFFFF
 PROTOCOL_VERSION = 300
 """Id of a message that the dialect does not have any more."""
@@ -180,7 +180,7 @@ def cast_to_uint32(value: float) -> int:
 
 AVAILABLE_MODES = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
 Build = Callable[[int], Message | None]
-"""Makes the message with an id; None if it is unknown or has nothing to say now."""
+"""Builds the message with an id; None if unknown, or without data at present."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +237,7 @@ class MessageRequests:
 
     @property
     def channels(self) -> Collection[Channel]:
-        """Channels with streams: every link, and every peer that asked for rates of its own."""
+        """Channels with streams: every link, and every peer that requested its own rates."""
         return self._tables.keys()
 
     def forget(self, channel: Channel) -> None:

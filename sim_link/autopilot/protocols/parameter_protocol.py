@@ -197,7 +197,7 @@ class ParameterStore:
 
 
 def _checked(spec: ParamSpec, value: float, where: str) -> float:
-    """Return the value as it is stored; `ConfigError`: it may not be."""
+    """Return the value as stored; raise `ConfigError` if it is not allowed."""
     problem = spec.problem_with(value)
     if problem is not None:
         raise ConfigError(f"{where}: {value:g} is {problem}")
@@ -238,7 +238,7 @@ class ParameterProfile:
     """Otherwise a value read or set by name has index 65535."""
     has_hash_check: bool
     stores_nan: bool
-    """Otherwise what is no number is ignored without a word."""
+    """Otherwise NaN is ignored silently."""
     reports_read_only: bool = False
     """True if it answers with the value and a text; otherwise it is silent."""
     echoes: int = 1

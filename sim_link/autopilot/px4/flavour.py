@@ -205,7 +205,7 @@ class Px4Flavour(AutopilotFlavour):
         self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:
-        """Arm on request, forced or not; return a MAV_RESULT, and say the reason if refused."""
+        """Arm on request, forced or not; return a MAV_RESULT, and send the reason of a refusal."""
         why = self.arming_refusal(now_s) or self._throttle_refusal(now_s)
         if not self.is_armed and why is not None:
             self.send_rejection("Arming denied", why)

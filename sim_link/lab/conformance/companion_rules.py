@@ -112,7 +112,7 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(HEARTBEAT_SERVICE)
     def heartbeat_goes_on_without_the_vehicle(self) -> None:
-        """While the vehicle is silent, the companion's HEARTBEAT goes on."""
+        """While the vehicle is silent, the companion's HEARTBEAT continues."""
         self.go_silent()
         self.run(4.0)
         self._newest()
@@ -359,7 +359,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{OWN_RULE}: nothing protects an autopilot from a wrong setpoint")
     def setpoints_stay_near(self) -> None:
-        """A position setpoint is no kilometre away from the vehicle."""
+        """A position setpoint is less than a kilometre away from the vehicle."""
         for message in self._all_setpoints():
             if message.type_mask & 7:
                 continue

@@ -135,7 +135,7 @@ def base_length(message: Message) -> int:
 
 
 def build_frame(message: Message, spec: FrameSpec | None = None) -> bytes:
-    """Return the frame of a message, made as `spec` says."""
+    """Return the frame of a message, built by `spec`."""
     spec = spec or FrameSpec()
     payload = payload_of(message)
     if spec.version == 1:

@@ -148,7 +148,7 @@ class RuleRun:
         return self._silences + self.left_behind
 
     def run(self, rules: Iterable[Rule]) -> None:
-        """Try the rules that bind the peer; `NotApplicable`: there is no peer."""
+        """Try the rules for the peer; raise `NotApplicable` without a peer."""
         rest, is_there = list(rules), False
         self._first = self._probe(VehicleProbe if self._is_vehicle else CompanionProbe)
         try:

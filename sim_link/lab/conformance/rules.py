@@ -64,15 +64,15 @@ FLAG_OF = {CHANGES: CHANGE_FLAG, FLIES: FLIGHT_FLAG}
 
 
 class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
-    """The peer broke the rule; the text says how."""
+    """Violation of the rule by the peer; the text describes it."""
 
 
 class NotApplicable(Exception):  # noqa: N818
-    """The peer gives no occasion to try the rule; the text says why."""
+    """Rule that cannot be tried with this peer; the text gives the reason."""
 
 
 class NotReady(Exception):  # noqa: N818
-    """The vehicle cannot be armed, so the rule could not be tried; the text says why."""
+    """Vehicle cannot be armed, so the rule was not tried; the text gives the reason."""
 
 
 class AutopilotNotes(msgspec.Struct, frozen=True):
@@ -170,7 +170,7 @@ class RuleBook:
     ) -> Callable[[Probe], Probe]:
         """Make the decorated method a rule, named as it is and stated by its docstring.
 
-        `source` is the page, file or measurement that says so.
+        `source` is the page, file or measurement that it comes from.
         """
 
         def register(probe: Probe) -> Probe:

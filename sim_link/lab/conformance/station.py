@@ -170,7 +170,7 @@ class Station:
         return True
 
     def is_heard(self, within_s: float) -> bool:
-        """Advance the time; return True if the peer says anything."""
+        """Advance the time; return True if the peer sends anything."""
         mark = self.mark
         return self.run_until(
             lambda: any(self.is_own(entry.message) for entry in self.inbox[mark:]), within_s
@@ -188,7 +188,7 @@ class Station:
         return stop
 
     def send(self, message: Message, spec: FrameSpec | None = None) -> None:
-        """Send a message as this station, or as `spec` says."""
+        """Send a message as this station, or by `spec`."""
         self.send_raw(self._frame_of(message, spec or self.spec()))
 
     def _frame_of(self, message: Message, spec: FrameSpec) -> bytes:
@@ -333,7 +333,7 @@ def source_of(message: Message) -> tuple[int, int]:
 
 
 def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Message:
-    """Return the HEARTBEAT of a component that is no autopilot."""
+    """Return the HEARTBEAT of a component that is not an autopilot."""
     return mavlink.MAVLink_heartbeat_message(
         kind, autopilot, 0, 0, mavlink.MAV_STATE_ACTIVE, MAVLINK_VERSION
     )

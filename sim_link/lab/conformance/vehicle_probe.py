@@ -260,7 +260,7 @@ class VehicleProbe(Station):
         )
 
     def is_armed(self) -> bool:
-        """Return True if a new HEARTBEAT says armed."""
+        """Return True if a new HEARTBEAT reports armed."""
         return bool(self.heartbeat().base_mode & mav.ARMED)
 
     def is_in(self, mode: str) -> bool:
@@ -349,7 +349,7 @@ class VehicleProbe(Station):
         require(back, f"it did not come back within {BOOT_S:g} s of a reboot")
 
     def await_prearm(self) -> None:
-        """Wait until SYS_STATUS says that it can be armed in its mode; `NotReady`: it does not."""
+        """Wait until SYS_STATUS reports that it can be armed in its mode; else raise `NotReady`."""
         mark = self.mark
         baseline = self.baseline
         if self._is_ready(SHORT_LOOK_S):
@@ -431,7 +431,7 @@ class VehicleProbe(Station):
 
 
 def is_ready(status: mav.SysStatus) -> bool:
-    """Return True if SYS_STATUS says that it can be armed, or does not say that it cannot."""
+    """Return True unless SYS_STATUS reports that the vehicle cannot be armed."""
     is_reported = bool(status.onboard_control_sensors_present & mav.PREARM)
     return not is_reported or bool(status.onboard_control_sensors_health & mav.PREARM)
 

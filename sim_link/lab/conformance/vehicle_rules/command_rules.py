@@ -302,7 +302,7 @@ class ArmingRules(VehicleProbe):
 
     @book.rule(mav.OBSERVED_BOTH)
     def arming_before_ready_is_refused(self) -> None:
-        """Right after boot arming is refused, forced or not, and a text says why."""
+        """Right after boot arming is refused, forced or not, and a text gives the reason."""
         self.set_interval(mav.SysStatus, 0.1)
         self.run(0.5)
         is_booting = not is_ready(self.latest(mav.SysStatus))

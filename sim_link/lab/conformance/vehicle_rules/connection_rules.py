@@ -223,7 +223,7 @@ class RoutingRules(ParameterClient):
         self.require_hearing()
 
     def _require_forwarded(self, frame: bytes) -> None:
-        """A frame must reach a companion as it is."""
+        """Frames reach the companion unaltered."""
         other = self._companion()
         mark = len(other.datagrams)
         self.send_raw(frame)
@@ -303,7 +303,7 @@ class RoutingRules(ParameterClient):
 
     @book.rule(ROUTING)
     def unauthenticated_frame_is_forwarded_unaltered(self) -> None:
-        """A frame signed with a key that the vehicle does not have goes on, signature and all."""
+        """A frame signed with a key unknown to the vehicle is forwarded with its signature."""
         message = text_message(b"signed by a stranger")
         frame = mav.build_frame(message, self.spec(incompat=mav.SIGNED))
         self._require_forwarded(mav.sign(frame, FOREIGN_KEY, 3, 10**13))

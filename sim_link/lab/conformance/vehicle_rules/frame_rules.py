@@ -50,7 +50,7 @@ class FrameRules(FrameProbe):
     book = RuleBook("frames")
 
     def _require_answer(self, spec: FrameSpec, problem: str) -> None:
-        """The vehicle must take a TIMESYNC sent as `spec` says."""
+        """Require that the vehicle accepts a TIMESYNC framed by `spec`."""
         message = self.question()
         require(self.is_answered(mav.build_frame(message, spec), message.ts1), problem)
 

@@ -227,7 +227,7 @@ class SigningRules(FrameProbe):
 
     @book.rule(SIGNING)
     def radio_status_needs_no_signature(self) -> None:
-        """An unsigned RADIO_STATUS, which a radio injects, does no harm and is no way in."""
+        """An unsigned RADIO_STATUS, which a radio injects, does no harm and opens no access."""
         self._begin()
         radio = mavlink.MAVLink_radio_status_message(100, 100, 50, 10, 10, 0, 0)
         self.send_raw(mav.build_frame(radio, self.spec()))

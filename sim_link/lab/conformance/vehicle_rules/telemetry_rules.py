@@ -161,7 +161,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, MAV_LANDED_STATE")
     def landed_state_on_the_ground(self) -> None:
-        """On the ground EXTENDED_SYS_STATE says ON_GROUND."""
+        """On the ground EXTENDED_SYS_STATE reports ON_GROUND."""
         self.require_disarmed()
         state = self.request(mav.SysState)
         require(state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND, brief(state))
@@ -298,7 +298,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, EXTENDED_SYS_STATE", effect=FLIES)
     def landed_state_in_the_air(self) -> None:
-        """In the air EXTENDED_SYS_STATE says IN_AIR."""
+        """In the air EXTENDED_SYS_STATE reports IN_AIR."""
         self.take_off(5.0)
         state = self.request(mav.SysState)
         require(state.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR, brief(state))

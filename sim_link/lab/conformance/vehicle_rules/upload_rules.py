@@ -223,7 +223,7 @@ class FenceRules(PlanClient):
 
     @book.rule(SERVICE)
     def mission_item_in_a_fence_is_refused(self) -> None:
-        """A waypoint is no part of a fence: UNSUPPORTED, or another error."""
+        """A waypoint cannot be part of a fence: UNSUPPORTED, or another error."""
         require(self.upload([self.waypoint_home()], mav.FENCE) != 0, "accepted")
 
     @book.rule(f"{SERVICE}, Geofence", effect=FLIES)
