@@ -46,7 +46,7 @@ def parsed() -> argparse.Namespace:
 
 
 def print_ticks(arguments: argparse.Namespace) -> None:
-    """Measure every case and print it as soon as it is over, beside that of another checkout."""
+    """Measure every case and print each result at once, beside that of another checkout."""
     kinds = tuple(LIMIT_MS) if arguments.only is None else (arguments.only,)
     if "compiled" in kinds and kernel_cache.kept() is None:
         kernel_cache.compile_kernels()

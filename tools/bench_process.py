@@ -119,7 +119,7 @@ def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
 
 @contextmanager
 def simulator(port: int) -> Iterator[None]:
-    """Run a PX4 that sends to this port, on ports of its own."""
+    """Run a PX4 on separate ports that sends to this port."""
     program = Path(sys.executable).with_name("sim-link")
     addresses = ("--send-to", f"127.0.0.1:{port}", "--listen", f"127.0.0.1:{free_udp_port()}")
     with running((str(program), "--quiet", "--seed", "7", *addresses), dict(os.environ)):

@@ -138,7 +138,7 @@ class Flight:
         self.is_link_up = True
         """False: the cable between the two is pulled."""
         self.is_ranging_up = True
-        """False: the simulator's radio says nothing."""
+        """False: the simulator's radio is silent."""
         self.is_companion_up = False
         self._makers = makers
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
@@ -367,7 +367,7 @@ COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
 
 class Operator:
-    """A ground station with a link of its own to the vehicle, which no fault touches.
+    """Ground station with a separate link to the vehicle, which no fault affects.
 
     It signs, from a Unix time at the start of the flight on, where the vehicle wants that.
     """

@@ -140,7 +140,7 @@ T = TypeVar("T")
 
 
 def overriding(objects: Iterable[T], base: type[T], what: str) -> list[T]:
-    """Return those objects whose class has a method of its own in place of the base's."""
+    """Return the objects whose class overrides a method of the base."""
     inherited = getattr(base, what)
     return [each for each in objects if getattr(type(each), what) is not inherited]
 

@@ -172,7 +172,7 @@ def faulty_link() -> FaultyLink:
 
 @pytest.fixture
 def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
-    """Yield a `sim-link` process of its own; the link on which it is heard, for `--connect`.
+    """Start a `sim-link` process; yield its link, for `--connect`.
 
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
     what it flies; the scenario is looked for beside the test.

@@ -54,7 +54,7 @@ from sim_link.world.point_mass import LEVEL, EulerAngles
 from sim_link.world.radio_channel import AntennaModelParams
 
 FOLLOW, SEND = 0, 1
-"""Links: where the vehicle is heard, and where measurements go to if that is another one."""
+"""Links: the vehicle's, and the one for measurements if separate."""
 HEARTBEAT_S = 1.0
 ASK_AGAIN_S = 2.0
 POSITION_INTERVAL_US = 50_000.0
@@ -93,7 +93,7 @@ def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurem
 class RadioFollower(OneShotEndpoint):
     """A radio that flies along; emitters with a position on the Earth wait for the origin.
 
-    With a link of its own measurements go to link 1 instead of back to the vehicle's.
+    With a separate link measurements go to link 1 instead of back to the vehicle's.
     """
 
     def __init__(

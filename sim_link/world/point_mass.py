@@ -181,7 +181,7 @@ class PointMass:
         self._drift = self._drift_of_wind()
 
     def set_wind(self, wind: WindParams) -> None:
-        """Set another wind; the present gust goes on."""
+        """Set another wind; the present gust continues."""
         self.wind = wind
         self._drift = self._drift_of_wind()
 

@@ -97,7 +97,7 @@ class SilentJournal(MemoryJournal):
 
 
 class Spread:
-    """Wire that delivers every emitter's measurements at a time of their own."""
+    """Wire that delivers each emitter's measurements at a separate time."""
 
     def __init__(self, emitters: int) -> None:
         self._emitters = emitters
@@ -204,7 +204,7 @@ class TickCase:
         return f"{self.kernels}, {self.place}, {self.emitters} {self.phase}"
 
     def measured(self, root: Path, seconds: float) -> TickCost:
-        """Fly it in a process of its own, with the code of a checkout."""
+        """Fly it in a separate process, with the code of a checkout."""
         environment = {**os.environ, "PYTHONPATH": str(root)}
         environment["NUMBA_DISABLE_JIT"] = "0" if self.kernels == "compiled" else "1"
         words = (str(self.emitters), self.phase, self.place, str(seconds))

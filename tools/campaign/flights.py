@@ -96,7 +96,7 @@ class Part:
     """Return the number of trials for an amount of the part, and the size of each trial."""
 
     def trials(self, amount: float, seed: int) -> list[Trial]:
-        """Return the trials of a part, each with a seed of its own."""
+        """Return the trials of a part, each with its own seed."""
         count, size = self.split(amount)
         return [Trial(self.name, seed * 1_000_000 + index, size) for index in range(count)]
 
@@ -130,7 +130,7 @@ class SignedPair:
         )
 
     def simulator(self, scenario: Scenario, seed: int, now_s: float) -> SimEndpoint:
-        """Return a vehicle that goes on from its newest timestamp."""
+        """Return a vehicle that continues from its newest timestamp."""
         self._vehicle = Signing(KEY, self._vehicle.timestamp)
         security = LinkSecurity(self._vehicle, started_unix_s=STARTED_UNIX_S + now_s)
         return SimEndpoint(scenario, seed, now_s, security=security)

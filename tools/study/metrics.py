@@ -115,7 +115,7 @@ NO_BIAS_SIGMAS = 1e-4
 LEAST_SHARE = 1e-12
 """Share of the information with known offsets below which the rest is rounding."""
 MIN_DISTANCE_M = 1e-3
-"""Nearer than this a direction has no meaning, and a measurement says nothing of the position."""
+"""Distance below which a direction has no meaning, and a measurement no information."""
 
 
 @dataclass(frozen=True, slots=True)

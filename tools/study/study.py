@@ -285,7 +285,7 @@ class StudyResult:
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """One row of results.csv, as it is written there; empty without a value."""
+    """One row of results.csv in its written form; empty without a value."""
 
     table: str
     parameter: str
@@ -302,7 +302,7 @@ class ResultRow:
 
 
 class FlightRow(Params, frozen=True):
-    """Result of one flight: a row of flights.csv; None where there is no value."""
+    """Result of one flight: a row of flights.csv; None without a value."""
 
     radio: str
     config: ConfigKind

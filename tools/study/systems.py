@@ -267,7 +267,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
 
 
 def pilot_of(case: Case, system: System) -> Steer:
-    """Return a fresh pilot with the planner; a ValueError for `fim_printed`, which is no class."""
+    """Return a new pilot with the planner; raise ValueError for `fim_printed`."""
     planner: Planner[Any]
     match system.planner:
         case "passive":

@@ -170,7 +170,7 @@ _READER = MavCodec(9, 9)
 def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
     """Return the frame after a change of its fields; unchanged if it cannot be read.
 
-    The key signs it again where it was signed; without it such a frame stays as it is.
+    With the key signed frames are signed again; without it they stay unchanged.
     """
     if is_signed(frame) and key is None:
         return frame

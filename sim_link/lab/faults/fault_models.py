@@ -215,7 +215,7 @@ class UnsignedFrames(SecurityFault, frozen=True, tag="unsigned_frames"):
 
 
 class ForeignFrames(SecurityFault, frozen=True, tag="foreign_frames"):
-    """Frames of another vehicle on the same link, with an id of its own."""
+    """Frames of another vehicle with its own id on the same link."""
 
 
 class ModeFlap(VehicleFault, frozen=True, tag="mode_flap"):

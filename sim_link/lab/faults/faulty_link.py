@@ -276,7 +276,7 @@ class Injector(Observer):
 
 
 VEHICLE, COMPANION, ATTACK = range(3)
-"""Links: where the vehicle sends to, and two to the companion, each with an address of its own."""
+"""Links: the one the vehicle sends to, and two to the companion, each with its own address."""
 MOST_ATTACKS_AT_ONCE = 1000
 
 

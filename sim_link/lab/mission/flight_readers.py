@@ -318,7 +318,7 @@ LOGS = "*/events.jsonl"
 
 
 class EventTail:
-    """Reads the companion's event log, in the folder of a flight below `root`, as it is written."""
+    """Follows the companion's event log in a flight folder below `root`."""
 
     def __init__(self, root: Path) -> None:
         self._root = root

@@ -128,7 +128,7 @@ class _MissionFlight:
 def _quiet(mission: Mission) -> Scenario:
     """Return the scenario on a link that carries only the companion's requested streams.
 
-    PX4's 340 messages per second, most of them never looked at, are what takes the time.
+    PX4's 340 messages per second, most of them unused, take most of the time.
     """
     autopilot = msgspec.structs.replace(mission.autopilot, streams="asked")
     return msgspec.structs.replace(mission.scenario, autopilot=autopilot)

@@ -136,7 +136,7 @@ class Hub:
 
 
 class ProcessHarness:
-    """Injects faults into processes, of which the vehicle may be absent; notifies the watcher."""
+    """Injects faults into the processes, perhaps without a vehicle; notifies the watcher."""
 
     def __init__(
         self,
@@ -234,7 +234,7 @@ POSITION_RATE_HZ = 1.0 / STREAM_INTERVAL_S[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION
 
 
 def check_installed() -> None:
-    """Make sure that MAVSDK is there; `ConfigError` says how to get it."""
+    """Check that MAVSDK is installed; a `ConfigError` has the command to install it."""
     try:
         import mavsdk.asyncio  # noqa: F401  only whether it is there
     except ImportError as error:

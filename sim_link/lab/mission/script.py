@@ -153,7 +153,7 @@ Duration = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_S)]
 
 
 class StepParams(Params, frozen=True):
-    """The parameters of a step; their type says which it is."""
+    """Parameters of a step, whose type identifies the step."""
 
 
 class ConnectStep(StepParams, frozen=True):
@@ -276,7 +276,7 @@ class StepRecord(Params, frozen=True, rename={"return_": "return"}):
     wait: WaitStep | UnsetType = UNSET
     pilot_override: PilotOverrideStep | UnsetType | None = UNSET
     inject: Fault | UnsetType = UNSET
-    """A fault of the harness, beginning `start_s` after this step began; the mission goes on."""
+    """Fault of the harness, `start_s` after this step begins; the mission continues."""
     hold: HoldStep | UnsetType | None = UNSET
     return_: ReturnStep | UnsetType | None = UNSET
     land: LandStep | UnsetType | None = UNSET

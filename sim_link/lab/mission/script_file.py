@@ -47,7 +47,7 @@ Problem = tuple[str, str]
 
 
 def load_mission(path: Path) -> Mission:
-    """Return the mission of a YAML file, checked as a whole; `ConfigError`: one line says where."""
+    """Return the checked mission of a YAML file; a `ConfigError` names the line of the error."""
     return parse_mission(read_text(path), str(path), path.parent)
 
 

@@ -1,4 +1,4 @@
-"""Flies a script: one step after the other, without a clock or a link of its own.
+"""Flies a script step by step, without a clock or a link.
 
 Theory of operation. A tick looks at the situation and asks whether the step that is due is over.
 A step begins with what it asks of the operator, is asked again every two seconds while nothing of
@@ -231,7 +231,7 @@ FIXED_RULES: dict[type[StepParams], StepRule] = {
     script.ReturnStep: StepRule("standing at home", DISARMED, FlightMode.RETURN, RETURNING),
     script.LandStep: StepRule("standing, disarmed", DISARMED, FlightMode.LAND, LANDING),
 }
-"""Rules of the steps that say no more than how long they may take."""
+"""Rules of the steps without parameters other than a time limit."""
 
 
 def _rule_of(step: Step, mission: Mission) -> StepRule:

@@ -328,7 +328,7 @@ class ObservedScene:
         return (enu_m[0] + origin[0], enu_m[1] + origin[1], enu_m[2] + origin[2])
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
-        """Return the setpoint in a frame that the companion sent, or None if it is none."""
+        """Return the setpoint in a frame that the companion sent, or None for other messages."""
         message = frame.message
         match message:
             case mavlink.MAVLink_set_position_target_local_ned_message():

@@ -38,7 +38,7 @@ MAX_OFF_M = 1.0
 """Largest final error of any of ten thousand runs, in m."""
 MAX_BOUND_RATIO = 1.3
 FAR_M = 100.0
-"""Beyond the area a bound is only large: offsets unknown, a straight track says very little."""
+"""Limit of a bound: with unknown offsets a straight track has very little information."""
 INFORMED = (PLANNER_LABELS["latched"], PLANNER_LABELS["fim"])
 """Planners whose tracks leave one hypothesis: there the bound can be reached."""
 MAX_COST_MS = {"Proposed (Reactive)": 0.003, "Proposed (FIM)": 0.015}
@@ -258,7 +258,7 @@ def _coverage(findings: Findings) -> Claim:
 
 
 def _reversal(findings: Findings) -> Claim:
-    """Judge the printed planner if it was flown: the companion's of that name is another one."""
+    """Check the printed planner if it was flown; the companion's of that name differs."""
     reactive, ours = findings.of(REACTIVE, OBSTACLE)[0], findings.find(FIM, OBSTACLE)[:1]
     fim = _flown([*findings.find(FIM_PRINTED, OBSTACLE)[:1], *ours])[0]
     is_later, is_worse = _steps(fim) > _steps(reactive), median_m(fim) > median_m(reactive)

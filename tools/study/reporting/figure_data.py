@@ -147,7 +147,7 @@ def sensitivities(
 
 
 def numbers(text: str) -> float:
-    """Return a number of the results, NaN if there is none."""
+    """Return a number of the results, NaN if missing."""
     try:
         return float(text)
     except ValueError:
@@ -155,7 +155,7 @@ def numbers(text: str) -> float:
 
 
 def interval(text: str) -> tuple[float, float]:
-    """Return the ends of an interval of the results, NaN if there is none."""
+    """Return the ends of an interval of the results, NaN if missing."""
     low, _, high = text.partition("..")
     return numbers(low), numbers(high)
 

@@ -250,7 +250,7 @@ def studies_of(name: str, folder: Path) -> list[Study]:
 
 
 def study_path(name: str, folder: Path) -> Path:
-    """Return the file of a study; a ConfigError if there is none."""
+    """Return the file of a study; raise ConfigError if missing."""
     if name.endswith((SUFFIX, ".yml")) or os.sep in name:
         return Path(name)
     path = folder / f"{name}{SUFFIX}"

@@ -88,7 +88,7 @@ def preset_of(path: Path) -> TrackerParams:
 
 
 def name_of_preset(path: Path) -> str:
-    """Return the preset for a walk of this name; a ConfigError if there is none."""
+    """Return the preset for a walk of this name; raise ConfigError without one."""
     for prefix, name in PRESETS.items():
         if path.stem.startswith(prefix):
             return name
