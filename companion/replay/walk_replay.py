@@ -3,17 +3,18 @@
 A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_m`, `agent_y_m`,
 `target_id`, and at least one of `range_m`, `bearing_rad`, `elevation_rad` and `power_dbm` (an empty
 cell means "not measured"). x is east, y is north, a bearing is counter-clockwise from east.
-Optional are `agent_z_m`, `own_sigma_m` (standard deviation per axis of the agent's position),
-`own_yaw_sigma_rad` (of the yaw that the bearings were turned by), and `target_x_m` and
-`target_y_m`, which only serve to compute the error of the estimate. Values for a whole walk may
-stand in the JSON object beside it (`walk.json` of `walk.csv`) under the same two names.
+Optional are `agent_z_m` (the target's height is then estimated), `own_sigma_m` (standard deviation
+per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw that the bearings were turned
+by), and `target_x_m` and `target_y_m`, which only serve to compute the error of the estimate.
+Values for a whole walk may stand in the JSON object beside it (`walk.json` of `walk.csv`) under the
+same two names.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -38,6 +39,9 @@ from companion.estimation.window.observability import Observability
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")
 PROGRESS_ROWS = 2000
+STOREY_M = 3.0
+"""Standard deviation of a target's height that is not configured: it lies a storey higher or
+lower."""
 FARTHEST_M = 4e7
 """The Earth is 40,000 km around."""
 ESTIMATED = (
@@ -128,7 +132,9 @@ def replay_walk(
     `own_sigma_m` replaces the walk's own accuracy of its positions.
     """
     targets: dict[str, _Replayed] = {}
-    for number, row in enumerate(read_walk(path, own_sigma_m)):
+    rows = list(read_walk(path, own_sigma_m))
+    params = with_unknown_height(params, rows)
+    for number, row in enumerate(rows):
         target = targets.get(row.target_id)
         if target is None:
             emitter_id = row.measurement.emitter_id
@@ -152,6 +158,18 @@ def replay_walk(
         )
         for target_id, target in targets.items()
     ]
+
+
+def with_unknown_height(params: TrackerParams, rows: Sequence[WalkRow]) -> TrackerParams:
+    """Return the parameters for these rows; in a walk with heights the target's is unknown.
+
+    It is estimated about the configured one, unless its standard deviation is configured as well.
+    """
+    has_heights = any(row.agent_enu_m[2] != 0.0 for row in rows)
+    if not has_heights or params.filter.target_height_sigma_m > 0.0:
+        return params
+    change = msgspec.structs.replace
+    return change(params, filter=change(params.filter, target_height_sigma_m=STOREY_M))
 
 
 def result_of(tracker: TargetTracker, target_id: str, rows: int, now_s: float) -> TargetResult:

@@ -20,7 +20,7 @@ from companion.domain import EstimateState, TargetEstimate
 from companion.errors import ConfigError
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
-from companion.replay.walk_replay import WalkRow, read_walk
+from companion.replay.walk_replay import WalkRow, read_walk, with_unknown_height
 
 PRESETS = {
     "rtt": "wifi_rtt",
@@ -120,6 +120,7 @@ def claims_of(path: Path, params: TrackerParams) -> list[TargetClaims]:
 
 def replayed(walk: str, rows: Sequence[WalkRow], params: TrackerParams) -> TargetClaims:
     """Replay one target's measurements through a tracker; return its claims."""
+    params = with_unknown_height(params, rows)
     tracker = TargetTracker(params, rows[0].measurement.emitter_id)
     found = TargetClaims(walk, rows[0].target_id, len(rows))
     due = {len(rows) * (index + 1) // CLAIMS for index in range(CLAIMS)}

@@ -15,6 +15,7 @@ import pytest
 from companion.cli import main
 from companion.config.schema import load_config
 from companion.errors import EXIT_BAD_INPUT, ConfigError
+from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.window_map import WindowParams
 from companion.replay.walk_replay import TargetResult, read_walk, replay_walk
@@ -72,6 +73,25 @@ def circle(count: int = 120) -> list[dict[str, object]]:
             }
         )
     return rows
+
+
+def test_in_a_walk_with_heights_the_height_of_the_target_is_estimated(tmp_path: Path) -> None:
+    rows, target = circle(), (4.0, 3.0, 2.5)
+    for index, row in enumerate(rows):
+        place = (float(str(row["agent_x_m"])), float(str(row["agent_y_m"])), 0.05 * index)
+        row |= {"agent_z_m": place[2], "range_m": math.dist(place, target)}
+        row |= {"target_x_m": target[0], "target_y_m": target[1]}
+    (found,) = replay_walk(write_walk(tmp_path / "walk.csv", rows), TrackerParams())
+    assert found.estimate is not None
+    assert found.estimate.height_sigma_m is not None
+    assert found.estimate.height_m == pytest.approx(target[2], abs=0.5)
+    (flat,) = replay_walk(write_walk(tmp_path / "flat.csv", circle()), TrackerParams())
+    assert flat.estimate is not None
+    assert flat.estimate.height_sigma_m is None
+    stated = TrackerParams(filter=FilterParams(target_height_m=2.4, target_height_sigma_m=0.01))
+    (known,) = replay_walk(tmp_path / "walk.csv", stated)
+    assert known.estimate is not None
+    assert known.estimate.height_m == pytest.approx(2.4, abs=0.02)
 
 
 def test_truth_columns_are_optional(tmp_path: Path) -> None:
