@@ -18,7 +18,7 @@ from companion.config.schema import CompanionConfig, inconsistency
 from companion.errors import ConfigError
 from companion.guidance.commands import Tuning, When
 from companion.link.gcs_services import TunableSpec
-from companion.mav.param_encoding import ParamType, nearest_real32
+from companion.mav.payloads import ParamType, nearest_real32
 from companion.planning.planner import Planner
 
 BuildPlanner = Callable[[CompanionConfig], Planner[Any]]

@@ -50,7 +50,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
-from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
+from companion.mav.payloads import ParamEncoding, ParamType, raw_of, value_from_raw
 
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 10.0

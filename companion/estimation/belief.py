@@ -20,7 +20,7 @@ from companion.domain import PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
-from companion.estimation.window.older_evidence import OlderEvidence
+from companion.estimation.window.map_kernels import OlderEvidence
 from companion.kernel import Matrix
 
 RESTORED_VARIANCE_FACTOR = 2.0

@@ -43,7 +43,7 @@ from companion.estimation.filters.target_filter import (
 from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import AZIMUTH, COSINES, MODALITIES
 from companion.estimation.screen import RejectReason
-from companion.estimation.window.observability import Observability
+from companion.estimation.window.rivals import Observability
 from companion.estimation.window.sandwich import MAX_CORRELATION, SIGNIFICANT_SIGMAS
 from companion.kernel import Matrix
 

@@ -42,9 +42,16 @@ from typing import get_args
 from companion.domain import Autopilot
 from companion.geometry.geofence import GeoArea, GeoFence, LatLon, NamedArea, fence_of
 from companion.guidance.events import AutopilotFenceRead, FenceLimits
-from companion.mav.addressing import fence_id_of, is_for
 from companion.mav.dialect import Message, mavlink, result_words
-from companion.mav.param_encoding import ParamEncoding, ParamType, name_of, raw_of, value_from_raw
+from companion.mav.payloads import (
+    ParamEncoding,
+    ParamType,
+    fence_id_of,
+    is_for,
+    name_of,
+    raw_of,
+    value_from_raw,
+)
 
 RESEND_S = 0.4
 TRIES = 8

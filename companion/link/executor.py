@@ -25,9 +25,9 @@ from companion.link.interface import Journal, VehicleParams
 from companion.link.outbound import Ids, RequestClient
 from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
-from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
+from companion.mav.payloads import is_for
 
 OCCASIONAL = FENCE_IDS | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_STATUSTEXT}
 """Ids of messages that come as answers or on occasion."""

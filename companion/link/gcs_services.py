@@ -25,12 +25,12 @@ from companion.guidance.events import OperatorCommand, OperatorCommandReceived, 
 from companion.link import outbound
 from companion.link.executor import SessionExecutor
 from companion.link.intake import RateLimit
-from companion.mav.addressing import is_for
 from companion.mav.dialect import Message, mavlink
-from companion.mav.param_encoding import (
+from companion.mav.payloads import (
     ParamEncoding,
     ParamType,
     RawParamValue,
+    is_for,
     nearest_real32,
     raw_of,
     raw_value,

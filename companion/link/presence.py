@@ -33,8 +33,8 @@ from companion.mav.dialect import (
     Message,
     TargetState,
     mavlink,
+    tunnelled,
 )
-from companion.mav.ranging import tunnelled
 from companion.search.searched_flight import GOOD_POD
 
 PERIOD_S = 1.0

@@ -34,7 +34,7 @@ from companion.errors import ConfigError
 from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window.observability import Observability
+from companion.estimation.window.rivals import Observability
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")

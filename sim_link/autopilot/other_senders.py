@@ -27,9 +27,8 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import POSITION_ONLY, Message, mavlink
-from companion.mav.param_encoding import raw_value
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import POSITION_ONLY, Message, mavlink, message_from_ranging
+from companion.mav.payloads import raw_value
 from sim_link.autopilot.incidents import (
     ComponentName,
     StationFence,

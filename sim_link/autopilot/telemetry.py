@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 from companion.domain import FlightMode
 from companion.geometry.coordinates import ned_from_enu
-from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
+from companion.mav.payloads import IdentifiedMissionCurrent
 from sim_link.autopilot import motion_messages as motion
 from sim_link.autopilot.aircraft import CELLS
 from sim_link.autopilot.motion_messages import (

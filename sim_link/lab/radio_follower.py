@@ -38,10 +38,9 @@ from companion.geometry.coordinates import (
 from companion.io.links.transports import Transport, UdpConnect, parse_transport, udp_address
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
+from companion.mav.dialect import Message, mavlink, message_from_ranging
 from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of
-from companion.mav.ranging import message_from_ranging
 from sim_link.autopilot.other_senders import PAYLOAD_ID, payload_heartbeat
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.emulators.catalogue import EMULATORS, check_emitters, kind_of, make_emulator

@@ -24,8 +24,7 @@ import numpy as np
 from companion.domain import PositionEnu
 from companion.io.child_processes import HOST, ChildProcess
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import mavlink, message_from_ranging
 from companion.mav.signing import KEY_LENGTH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot.scenario import PayloadParams
 from sim_link.world.environment import Emitter, EmitterParams, FieldChannelParams

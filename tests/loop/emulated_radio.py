@@ -11,8 +11,7 @@ import numpy as np
 
 from companion.domain import RangingMeasurement
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import mavlink, message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.emulator import Answer, Emulator, Round

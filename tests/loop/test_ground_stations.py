@@ -11,11 +11,10 @@ from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.guidance.commands import ReportResult
 from companion.guidance.phases import Phase
-from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from companion.mav.dialect import MAVLink_target_estimate_message, Message, estimate_in, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.ranging import estimate_in
+from companion.mav.payloads import TargetedTimesync, targets_of_frame
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep import Flight, Makers, MemoryJournal

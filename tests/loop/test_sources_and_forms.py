@@ -14,8 +14,7 @@ from companion.guidance.commands import SessionParams
 from companion.guidance.emitters import Order, QueueParams
 from companion.link.interface import VehicleParams
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import Message, mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import Message, mavlink, message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.world.environment import EmitterParams

@@ -35,8 +35,7 @@ from companion.kernel import Matrix
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, VehicleParams
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import mavlink, message_from_ranging
 from companion.planning.fim import FimParams
 from companion.planning.planner import Plan, Planner, PlanRequest
 from companion.planning.views import NO_LATCH

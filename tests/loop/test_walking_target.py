@@ -15,8 +15,7 @@ from companion.config.schema import CompanionConfig, LimitsConfig
 from companion.geometry.polygons import Point
 from companion.guidance.commands import SessionParams
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import mavlink
-from companion.mav.ranging import message_from_ranging
+from companion.mav.dialect import mavlink, message_from_ranging
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.lab.mission.flight_readers import rules_of
 from sim_link.lab.monitor.monitor import Monitor

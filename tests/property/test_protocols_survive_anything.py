@@ -6,10 +6,10 @@ import random
 
 import pytest
 
-from companion.mav.addressing import targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
 from companion.mav.framing import frame_crc
+from companion.mav.payloads import targets_of_frame
 from sim_link.autopilot.ardupilot import firmware_profile as ardupilot
 from sim_link.autopilot.protocols import parameter_protocol
 from sim_link.autopilot.protocols.addressing import (

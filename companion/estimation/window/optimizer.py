@@ -32,14 +32,19 @@ from companion.estimation.window.map_kernels import (
     POWER_WEIGHT,
     SEQUENCE,
     VALUES,
+    OlderEvidence,
     Row,
     columns_of,
     has_any,
     row_vector,
 )
-from companion.estimation.window.observability import Observability, mirrored, observability_of
-from companion.estimation.window.older_evidence import OlderEvidence
-from companion.estimation.window.rivals import Optimum, weigh_optima
+from companion.estimation.window.rivals import (
+    Observability,
+    Optimum,
+    mirrored,
+    observability_of,
+    weigh_optima,
+)
 from companion.estimation.window.sandwich import is_all_white
 from companion.estimation.window.shadows import shadow_weights
 from companion.estimation.window.shared_errors import (

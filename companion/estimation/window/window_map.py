@@ -54,6 +54,7 @@ from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
     POWER_WEIGHT,
+    OlderEvidence,
     clipped,
     map_cost,
     map_descent,
@@ -66,7 +67,6 @@ from companion.estimation.window.map_kernels import (
     values_of,
     without_values,
 )
-from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, log_ratio_of
 from companion.estimation.window.sandwich import (
     Scores,

@@ -27,8 +27,8 @@ from collections import deque
 from enum import Enum
 from typing import NamedTuple
 
-from companion.mav.addressing import TargetedTimesync
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import TargetedTimesync
 
 FIRST_PERIOD_S = 0.1
 """Interval of the first questions."""

@@ -21,8 +21,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
+from companion.mav.payloads import TargetedTimesync, targets_of_frame
 from sim_link.autopilot.protocols.addressing import Addressing, Newest, Outgoing, Partner
 
 DEGREE = 1e7

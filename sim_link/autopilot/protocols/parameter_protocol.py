@@ -22,7 +22,7 @@ from importlib.resources import files
 
 from companion.errors import ConfigError
 from companion.mav.dialect import Message, mavlink
-from companion.mav.param_encoding import (
+from companion.mav.payloads import (
     NAME_LENGTH,
     ParamEncoding,
     ParamType,

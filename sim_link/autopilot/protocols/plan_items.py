@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import IdentifiedMissionCurrent
 from sim_link.autopilot.protocols.addressing import Outgoing, Partner
 
 DEGREE = 1e7

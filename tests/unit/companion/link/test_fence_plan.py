@@ -18,9 +18,9 @@ from companion.link.autopilot_fence import (
     Item,
     fence_of_items,
 )
-from companion.mav.addressing import IdentifiedMissionCurrent
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import IdentifiedMissionCurrent
 
 FENCE, MISSION = mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_MISSION
 AUTOPILOT, OWN = (1, 1), (1, 191)

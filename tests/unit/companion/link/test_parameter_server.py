@@ -11,7 +11,7 @@ from companion.config.tunables import TUNABLES
 from companion.guidance.phases import Phase
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
-from companion.mav.param_encoding import ParamEncoding, ParamType, raw_of, value_from_raw
+from companion.mav.payloads import ParamEncoding, ParamType, raw_of, value_from_raw
 from companion.planning.crossing import LatchedCrossing
 from tests.unit.companion.link.wire import ARDUPILOT, OFFBOARD, STRANGER, Wire, heartbeat
 

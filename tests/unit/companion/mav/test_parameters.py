@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from companion.mav.param_encoding import (
+from companion.mav.payloads import (
     ParamEncoding,
     ParamType,
     RawParamValue,

@@ -15,9 +15,11 @@ from companion.mav.dialect import (
     MAVLink_radio_ranging_message,
     MAVLink_target_estimate_message,
     Message,
+    estimate_in,
     mavlink,
+    message_from_ranging,
+    tunnelled,
 )
-from companion.mav.ranging import estimate_in, message_from_ranging, tunnelled
 
 
 def over_the_wire(message: Message) -> Message:

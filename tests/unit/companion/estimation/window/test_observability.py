@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.observability import (
+from companion.estimation.window.rivals import (
     COLLINEAR_RATIO,
     mirrored,
     observability_of,

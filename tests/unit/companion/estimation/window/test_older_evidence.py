@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.window.older_evidence import OlderEvidence
+from companion.estimation.window.map_kernels import OlderEvidence
 from companion.estimation.window.optimizer import MeasurementWindow
 from companion.estimation.window.rivals import Optimum
 from companion.estimation.window.window_map import WindowMap

@@ -11,15 +11,14 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.target_estimate import r95_of_covariance_m
 from companion.estimation.window.map_kernels import (
     MAX_ITERATIONS,
+    OlderEvidence,
     map_cost,
     map_descent,
     measured_innovations,
     row_sigmas,
 )
-from companion.estimation.window.observability import mirrored
-from companion.estimation.window.older_evidence import OlderEvidence
 from companion.estimation.window.optimizer import start_around
-from companion.estimation.window.rivals import weigh_optima
+from companion.estimation.window.rivals import mirrored, weigh_optima
 from companion.estimation.window.sandwich import shares_of
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,

@@ -15,9 +15,9 @@ from companion.link.conversion.clock_sync import (
     ClockSync,
     Lateness,
 )
-from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import TargetedTimesync, targets_of_frame
 
 Delay = Callable[[], tuple[float, float]]
 OFFSET_S = 1234.5

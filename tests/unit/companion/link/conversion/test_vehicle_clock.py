@@ -18,8 +18,8 @@ from companion.link.conversion.sender_clock import (
     SenderClock,
     VehicleClock,
 )
-from companion.mav.addressing import TargetedTimesync
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import TargetedTimesync
 
 RECORDED = Path(__file__).parents[4] / "data/clocks/arducopter_stopped.csv"
 UP_S = 100.0

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from companion.mav.addressing import TargetedTimesync, targets_of_frame
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
+from companion.mav.payloads import TargetedTimesync, targets_of_frame
 from sim_link.autopilot.protocols.addressing import Addressing
 from sim_link.autopilot.protocols.command_protocol import Clocks
 from tests.unit.sim_link.autopilot.protocols.wire import STATION, received, said

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.errors import ConfigError
-from companion.mav.param_encoding import ParamEncoding, ParamType
+from companion.mav.payloads import ParamEncoding, ParamType
 from sim_link.autopilot.ardupilot.firmware_profile import ARDUPILOT_PARAMETERS
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, ParamSpec
 from sim_link.autopilot.px4.firmware_profile import PX4_PARAMETERS

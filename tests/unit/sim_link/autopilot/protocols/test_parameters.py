@@ -8,7 +8,7 @@ import struct
 import pytest
 
 from companion.mav.dialect import Message, mavlink
-from companion.mav.param_encoding import ParamType, raw_of
+from companion.mav.payloads import ParamType, raw_of
 from sim_link.autopilot.ardupilot import firmware_profile as ardupilot_firmware
 from sim_link.autopilot.protocols.addressing import Channel, Outgoing, Partner, StatusTexts
 from sim_link.autopilot.protocols.parameter_protocol import (
