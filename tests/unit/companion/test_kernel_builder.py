@@ -65,7 +65,7 @@ compiled = {each.name: set(each.calls) for each in builder.Recorder.all}
 from pathlib import Path
 from companion.config.schema import load_config
 from companion.flight_setup import build_planner
-from companion.flight_setup import warm_up
+from companion.warm_up import warm_up
 from tests.loop.golden_flights import FOLDER, SUFFIX, load, replayed
 
 for path in sorted(Path("configs").glob("companion/**/*.yaml")):
