@@ -21,8 +21,15 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from sim_link.emulators.emulator import Answer, Emulator, LineEmulator, Round, clamped, lines
-from sim_link.emulators.wifi import SIMULATION_BEGAN_S
+from sim_link.emulators.emulator import (
+    SIMULATION_BEGAN_S,
+    Answer,
+    Emulator,
+    LineEmulator,
+    Round,
+    clamped,
+    lines,
+)
 
 FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
 """Frequency of emitter 0, and the steps to the next."""
@@ -205,10 +212,7 @@ class Uudf(LineEmulator):
     measures = "bearing"
     ANCHOR = "CCF9578E0D89"
     CHANNELS = (37, 38, 39)
-
-    def boot(self) -> bytes:
-        """Return the start-up message."""
-        return lines(["+STARTUP"])
+    banner = lines(["+STARTUP"])
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a line for a tag whose advertisement was heard, in front."""
@@ -281,16 +285,12 @@ class KrakenSocket(Kraken):
     rate_hz = 5.0
     document = None
     socket = "/ws"
+    banner = frame(TEXT, b'{"sync_cmd":"TOPOLOGY:UCA"}') + frame(TEXT, b'{"sync_cmd":"DOA:1"}')
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._spectra: dict[int, Spectrum] = {}
         """Spectra by frequency."""
-
-    def boot(self) -> bytes:
-        """Return the messages that every client receives first."""
-        texts = ('{"sync_cmd":"TOPOLOGY:UCA"}', '{"sync_cmd":"DOA:1"}')
-        return b"".join(frame(TEXT, text.encode()) for text in texts)
 
     def encode(self, asked: Round) -> bytes:
         """Return all channels, new or not."""

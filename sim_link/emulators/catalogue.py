@@ -10,58 +10,23 @@ from companion.errors import ConfigError
 from sim_link.emulators import bearings, nlink, power, printed_lines, uwb_binary, uwb_text, wifi
 from sim_link.emulators.emulator import Emulator
 
-KINDS: tuple[type[Emulator], ...] = (
-    printed_lines.Ndjson,
-    nlink.NLinkAoa,
-    nlink.NLinkNode2,
-    nlink.NLinkNode3,
-    nlink.NLinkNode5,
-    nlink.NLinkTag0,
-    nlink.NLinkIot,
-    uwb_binary.FiraUci,
-    uwb_binary.Sr150,
-    uwb_text.Pans,
-    uwb_binary.PansTlv,
-    uwb_text.QorvoCli,
-    uwb_text.PdoaJs,
-    uwb_text.MakerfabsAt,
-    bearings.Kraken,
-    bearings.KrakenSuite,
-    bearings.KrakenXml,
-    bearings.KrakenSocket,
-    bearings.Uudf,
-    wifi.Esp32Ftm,
-    wifi.Esp32Arduino,
-    wifi.FtmCsv,
-    wifi.IwFtm,
-    wifi.AndroidRtt,
-    printed_lines.Trek1000,
-    printed_lines.ChannelSounding,
-    printed_lines.SilabsAoa,
-    printed_lines.Bu01,
-    printed_lines.PozyxSketch,
-    printed_lines.Lr11xx,
-    uwb_text.Ryuw122,
-    uwb_text.Bu03,
-    uwb_text.Pozyx,
-    printed_lines.Kn5r,
-    printed_lines.Rotaryclub,
-    power.WifiScan,
-    power.BleScan,
-    power.Esp32Sniffer,
-    power.LoraForwarder,
-    power.ChirpStack,
-    power.TheThingsStack,
-    power.Uavrt,
-    printed_lines.Sx1280,
-    power.Srsran4g,
-    power.Srsran,
-    power.Oai,
-    printed_lines.Lines,
+MODULES = (
+    bearings,
+    nlink,
+    power,
+    printed_lines,
+    uwb_binary,
+    uwb_text,
+    wifi,
 )
 OWN_STREAM = 45_010
 """Seed offset that keeps a radio's invented values apart from its measurement noise."""
-EMULATORS = {kind.name: kind for kind in KINDS}
+EMULATORS: dict[str, type[Emulator]] = {
+    kind.name: kind
+    for module in MODULES
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Emulator) and "name" in vars(kind)
+}
 
 
 def kind_of(name: str) -> type[Emulator]:

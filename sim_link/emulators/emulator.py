@@ -26,6 +26,8 @@ U32 = 1 << 32
 FLOOR_DBM, AT_ONE_METRE_DBM = -95.0, -45.0
 """Free space, and no less than noise."""
 LINE_END = "\r\n"
+SIMULATION_BEGAN_S = 1_718_000_000.0
+"""Unix time at the start of the simulation, for formats with wall-clock time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +122,8 @@ class Emulator(ABC):
     """Path of a web socket; its bytes are frames of RFC 6455 then. None: it has none."""
     epoch_s: ClassVar[float] = 0.0
     """Epoch of its clock; 0 is power-on."""
+    banner: ClassVar[bytes] = b""
+    """What it prints at power-on."""
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         self._clock_s = clock_s
@@ -129,10 +133,6 @@ class Emulator(ABC):
     @abstractmethod
     def encode(self, asked: Round) -> bytes:
         """Encode one round as the radio prints it."""
-
-    def boot(self) -> bytes:
-        """Return the bytes that it prints at power-on."""
-        return b""
 
     def hear(self, data: bytes) -> bytes:  # noqa: ARG002  most do not listen
         """Return the immediate answer to received bytes."""
@@ -178,9 +178,45 @@ class LineEmulator(Emulator):
         """Return the lines of one emitter of a round."""
 
 
+class RangeLines(LineEmulator):
+    """A radio that prints a line, or several, for each range."""
+
+    prints_silence = True
+    silence: ClassVar[tuple[str, ...]] = ()
+    """Lines for an emitter without a range."""
+    line: ClassVar[str] = ""
+    """Template of the line: `id` or `name`, `range_m` or the whole `mm`, `m` or `rtt_ns`, `ms` of
+    the radio's clock, `dbm`, `percent` of the quality."""
+
+    def lines_of(self, answer: Answer, asked: Round) -> Sequence[str]:
+        """Return those of the range, or those of silence."""
+        range_m, clock_ms = answer.range_m, self.device_ms(asked.sent_at_s)
+        return self.silence if range_m is None else self.lines_at(range_m, answer, clock_ms)
+
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> Sequence[str]:
+        """Return the lines of a range; by default the template's."""
+        text = self.line.format(
+            id=answer.emitter_id,
+            name=self.name_on_wire(answer.emitter_id),
+            range_m=range_m,
+            mm=round(1e3 * range_m),
+            m=round(range_m),
+            rtt_ns=round(1e9 * round_trip_s(range_m)),
+            ms=clock_ms % U32,
+            dbm=round(answer.power_dbm),
+            percent=round(100.0 * answer.quality),
+        )
+        return [text]
+
+
 def lines(texts: Sequence[str]) -> bytes:
     """Return text as bytes with the line endings of a serial port."""
     return "".join(text + LINE_END for text in texts).encode("ascii")
+
+
+def round_trip_s(range_m: float) -> float:
+    """Return the round-trip time, s."""
+    return 2.0 * range_m / LIGHT_MPS
 
 
 def mac_of(emitter_id: int) -> str:

@@ -26,16 +26,18 @@ from typing import ClassVar
 
 from sim_link.emulators.emulator import (
     LIGHT_MPS,
+    SIMULATION_BEGAN_S,
     U32,
     Answer,
     Emulator,
     LineEmulator,
+    RangeLines,
     Round,
     clamped,
     lines,
     mac_of,
+    round_trip_s,
 )
-from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
 
 CHANNEL_NOISE_DBM = -117.0
 """Noise of a LoRa channel of 125 kHz: -174 dBm/Hz, 51 dB of bandwidth, 6 dB of the receiver."""
@@ -78,10 +80,7 @@ class BleScan(LineEmulator):
     names = "{mac_capitals}"
     gives = "power"
     rate_hz = 5.0
-
-    def boot(self) -> bytes:
-        """Return the monitor's head."""
-        return lines(["Bluetooth monitor ver 5.65"])
+    banner = lines(["Bluetooth monitor ver 5.65"])
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return an event for an advertisement."""
@@ -258,24 +257,19 @@ def rach_line(tti: int, preamble: int, offset: int, crnti: int) -> str:
     )
 
 
-class Srsran4g(LineEmulator):
+class Srsran4g(RangeLines):
     """An LTE cell: a line whenever a phone is made to attach."""
 
     name = "srsran_4g"
     title = "srsRAN 4G, RACH lines"
     rate_hz = 2.0
     ids = range((1 << 16) - FIRST_CRNTI)
+    banner = lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
 
-    def boot(self) -> bytes:
-        """Return the log of a cell that starts."""
-        return lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:
         """Return that its random access was heard, and that it is connected."""
-        if answer.range_m is None:
-            return []
-        tti = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
-        offset, crnti = steps_of(answer.range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
+        tti = clock_ms % (FRAMES * SUBFRAMES)
+        offset, crnti = steps_of(range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
         preamble = int(self._rng.integers(PREAMBLES))
         return [rach_line(tti, preamble, offset, crnti), f"User 0x{crnti:x} connected"]
 
@@ -316,7 +310,7 @@ class Srsran(Emulator):
         return str(FIRST_RNTI + emitter_id)
 
 
-class Oai(LineEmulator):
+class Oai(RangeLines):
     """An NR cell at 30 kHz: two lines for each random access, which name no phone.
 
     The second one, of 2024 and later, has the distance; steps are rounded to the nearest.
@@ -328,13 +322,11 @@ class Oai(LineEmulator):
     rate_hz = 2.0
     most = 1
 
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:
         """Return both lines of a phone that was heard."""
-        if answer.range_m is None:
-            return []
-        subframe = self.device_ms(asked.sent_at_s) % (FRAMES * SUBFRAMES)
+        subframe = clock_ms % (FRAMES * SUBFRAMES)
         when = f"{subframe // SUBFRAMES}.{2 * (subframe % SUBFRAMES) + 1}"
-        delay = max(0, round(answer.range_m / NR_STEP_M))
+        delay = max(0, round(range_m / NR_STEP_M))
         preamble = int(self._rng.integers(PREAMBLES))
         energy = clamped(10.0 * (answer.power_dbm + 120.0), 1, 999)
         return [raproc_line(when, preamble, energy, delay), msg2_line(when, preamble, delay)]

@@ -19,8 +19,16 @@ import math
 import numpy as np
 
 from sim_link.emulators.bearings import turned_rad
-from sim_link.emulators.emulator import U32, Answer, Emulator, LineEmulator, Round, clamped, lines
-from sim_link.emulators.wifi import SIMULATION_BEGAN_S, round_trip_s
+from sim_link.emulators.emulator import (
+    SIMULATION_BEGAN_S,
+    Answer,
+    Emulator,
+    LineEmulator,
+    RangeLines,
+    Round,
+    clamped,
+    lines,
+)
 
 BANDWIDTH_HZ = 812_500.0
 RAW_STEP_M = 150.0 / (4.096 * BANDWIDTH_HZ / 1e3)
@@ -62,10 +70,7 @@ class Ndjson(Emulator):
     epoch_s = SIMULATION_BEGAN_S
     reports_north = True
     document = "/"
-
-    def boot(self) -> bytes:
-        """Return a comment line."""
-        return b"# a program that prints what its radio measures\n"
+    banner = b"# a program that prints what its radio measures\n"
 
     def encode(self, asked: Round) -> bytes:
         """Return a line for each that answered."""
@@ -75,21 +80,13 @@ class Ndjson(Emulator):
         return "".join(texts).encode()
 
 
-class Lines(LineEmulator):
+class Lines(RangeLines):
     """A sketch of a user's: address, metres, nanoseconds, share of the frames in percent."""
 
     name = "lines"
     title = "lines of one's own, `MAC,12.34 m, 82 ns, 90`"
     names = "{mac_capitals}"
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a line with the range; none without one."""
-        range_m = answer.range_m
-        if range_m is None:
-            return []
-        rtt_ns, percent = round(1e9 * round_trip_s(range_m)), round(100.0 * answer.quality)
-        name = self.name_on_wire(answer.emitter_id)
-        return [f"{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"]
+    line = "{name},{range_m:.2f} m, {rtt_ns} ns, {percent}"
 
 
 def sx1280_valid(raw: int, rssi_dbm: int) -> str:
@@ -98,7 +95,7 @@ def sx1280_valid(raw: int, rssi_dbm: int) -> str:
     return f"Valid,Register,{raw:X},Distance,{raw * RAW_STEP_M:.1f},{rssi}"
 
 
-class Sx1280(LineEmulator):
+class Sx1280(RangeLines):
     """A ranging master at 812.5 kHz, whose output has no names."""
 
     name = "sx1280"
@@ -106,17 +103,12 @@ class Sx1280(LineEmulator):
     names = ""
     most = 1
     rate_hz = 5.0
-    prints_silence = True
+    banner = lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
+    silence = ("NotValid,Irq,8000",)
 
-    def boot(self) -> bytes:
-        """Return the banner, with the calibration in use."""
-        return lines(["54_Ranging_Master Starting", "", "LoRa Device found", "Calibration,11350"])
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a line in any case."""
-        if answer.range_m is None:
-            return ["NotValid,Irq,8000"]
-        raw = clamped(answer.range_m / RAW_STEP_M, 0, (1 << 23) - 1)
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:  # noqa: ARG002
+        """Return the register in use, not negative."""
+        raw = clamped(range_m / RAW_STEP_M, 0, (1 << 23) - 1)
         return [sx1280_valid(raw, round(answer.power_dbm))]
 
 
@@ -132,7 +124,7 @@ def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
     )
 
 
-class Trek1000(LineEmulator):
+class Trek1000(RangeLines):
     """Anchor 0 of a kit and its tags, whole millimetres; raw reports beside the corrected."""
 
     name = "trek1000"
@@ -140,17 +132,14 @@ class Trek1000(LineEmulator):
     ids = range(TAGS)
     most = TAGS
 
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
-        """Return both reports of a tag that answered."""
-        if answer.range_m is None:
-            return []
-        range_mm, clock_ms = round(1e3 * answer.range_m), self.device_ms(asked.sent_at_s)
-        number = self.next_number()
-        report = mc_report(max(0, range_mm), answer.emitter_id, number, clock_ms)
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:
+        """Return both reports of a tag."""
+        range_mm = max(0, round(1e3 * range_m))
+        report = mc_report(range_mm, answer.emitter_id, self.next_number(), clock_ms)
         return [report.replace("mc", "mr", 1), report]
 
 
-class ChannelSounding(LineEmulator):
+class ChannelSounding(RangeLines):
     """Nordic's initiator, one reflector; two antenna paths."""
 
     name = "channel_sounding"
@@ -158,19 +147,13 @@ class ChannelSounding(LineEmulator):
     names = ""
     rate_hz = 5.0
     most = 1
+    banner = lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
 
-    def boot(self) -> bytes:
-        """Return the console of Zephyr."""
-        return lines(["*** Booting nRF Connect SDK v3.0.1 ***", "I: Starting initiator sample"])
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:  # noqa: ARG002
         """Return a line for each antenna path."""
-        ifft_m = answer.range_m
-        if ifft_m is None:
-            return []
         return [
-            f"I: Distance estimates on antenna path {path}: ifft: {ifft_m:.6f}, "
-            f"phase_slope: {ifft_m + 0.4:.6f}, rtt: {ifft_m + 1.9:.6f}"
+            f"I: Distance estimates on antenna path {path}: ifft: {range_m:.6f}, "
+            f"phase_slope: {range_m + 0.4:.6f}, rtt: {range_m + 1.9:.6f}"
             for path in range(2)
         ]
 
@@ -210,41 +193,32 @@ class SilabsAoa(Emulator):
         )
 
 
-class Bu01(LineEmulator):
+class Bu01(RangeLines):
     """An Ai-Thinker BU01 in the tag's role: a line an anchor, whole centimetres."""
 
     name = "bu01"
     title = "Ai-Thinker BU01, M5Stack Unit UWB"
     ids = range(10)
     most = 4
+    line = "an{id}:{range_m:.2f}m"
 
     def hear(self, data: bytes) -> bytes:
         """Return nothing: ranging goes on already."""
         return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
 
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a line with the range; none without one."""
-        return [] if answer.range_m is None else [f"an{answer.emitter_id}:{answer.range_m:.2f}m"]
 
-
-class PozyxSketch(LineEmulator):
+class PozyxSketch(RangeLines):
     """An Arduino with a Pozyx shield and the sketch `ready_to_range`."""
 
     name = "pozyx_sketch"
     title = "Pozyx, Arduino sketch ready_to_range"
     names = ""
     most = 1
-    prints_silence = True
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:
-        """Return a line in any case."""
-        clock_ms = self.device_ms(asked.sent_at_s) % U32
-        if answer.range_m is None:
-            return ["ERROR: ranging"]
-        return [f"{clock_ms}ms, {round(1e3 * answer.range_m)}mm, {round(answer.power_dbm)}dBm"]
+    silence = ("ERROR: ranging",)
+    line = "{ms}ms, {mm}mm, {dbm}dBm"
 
 
-class Lr11xx(LineEmulator):
+class Lr11xx(RangeLines):
     """The manager of Semtech's ranging example: whole metres."""
 
     name = "lr11xx"
@@ -252,21 +226,9 @@ class Lr11xx(LineEmulator):
     names = ""
     rate_hz = 2.0
     most = 1
-    prints_silence = True
-
-    def boot(self) -> bytes:
-        """Return the banner with the example's role."""
-        return lines(
-            ["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="]
-        )
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a result, or that there was none."""
-        if answer.range_m is None:
-            return ["RTTOF request timeout"]
-        return [
-            f"RTToF result: Distance: {round(answer.range_m)}m, RSSI: {round(answer.power_dbm)} "
-        ]
+    banner = lines(["===== LR11xx RTToF example =====", "", "===== Running in manager mode ====="])
+    silence = ("RTTOF request timeout",)
+    line = "RTToF result: Distance: {m}m, RSSI: {dbm} "
 
 
 HISS_MAGNITUDE = 80

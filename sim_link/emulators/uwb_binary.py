@@ -102,10 +102,7 @@ class FiraUci(Emulator):
     antenna = "two_axis"
     measures = "both"
     rate_hz = 5.0
-
-    def boot(self) -> bytes:
-        """Return the notification that the device is ready."""
-        return UCI_BOOT
+    banner = UCI_BOOT
 
     def encode(self, asked: Round) -> bytes:
         """Return a notification with all peers."""

@@ -51,16 +51,15 @@ class Pans(Emulator):
     name = "pans"
     title = "Decawave DWM1001 PANS, shell"
     names = "{0:04X}"
+    banner = (
+        lines(["", "", " DWM1001 TWR Real Time Location System", "", " Help      :  ? or help", ""])
+        + PROMPT.encode()
+    )
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._is_on = True
         self._typed = b""
-
-    def boot(self) -> bytes:
-        """Return the shell's greeting."""
-        title = " DWM1001 TWR Real Time Location System"
-        return lines(["", "", title, "", " Help      :  ? or help", ""]) + PROMPT.encode()
 
     def hear(self, data: bytes) -> bytes:
         """Return the shell's prompt for every carriage return."""
@@ -113,10 +112,7 @@ class QorvoCli(Emulator):
     antenna = "two_axis"
     measures = "both"
     rate_hz = 5.0
-
-    def boot(self) -> bytes:
-        """Acknowledge the start of a session."""
-        return lines(["ok", 'SESSION_STATUS_NTF: {state="ACTIVE", reason="State change"}'])
+    banner = lines(["ok", 'SESSION_STATUS_NTF: {state="ACTIVE", reason="State change"}'])
 
     def encode(self, asked: Round) -> bytes:
         """Return a notification with all peers."""
@@ -153,10 +149,8 @@ class PdoaJs(Emulator):
     gives = "range, azimuth"
     antenna = "line"
     measures = "both"
-
-    def boot(self) -> bytes:
-        """Return the frame by which the node introduces itself."""
-        return lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])
+    banner = lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])
+    """The frame by which the node introduces itself."""
 
     def encode(self, asked: Round) -> bytes:
         """Return a frame for each tag that answered."""
@@ -214,6 +208,7 @@ class MakerfabsAt(Emulator):
     title = "Makerfabs MaUWB_DW3000, AT firmware"
     most = SLOTS
     ids = range(256)
+    banner = lines(["OK"])
 
     def encode(self, asked: Round) -> bytes:
         """Return a line in any case; 0 for one that did not answer."""
@@ -227,10 +222,6 @@ class MakerfabsAt(Emulator):
         mask, sequence = sum(1 << slot for slot in heard), self.next_number(256)
         line = AtRange(0, mask, sequence, tuple(ranges_cm), None, tuple(anchors))
         return lines([line.text])
-
-    def boot(self) -> bytes:
-        """Return the answers to the settings only."""
-        return lines(["OK"])
 
     def hear(self, data: bytes) -> bytes:
         """Return OK for every command."""

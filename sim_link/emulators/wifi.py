@@ -12,27 +12,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim_link.emulators.emulator import (
-    LIGHT_MPS,
+    SIMULATION_BEGAN_S,
     U32,
     Answer,
     Emulator,
     LineEmulator,
+    RangeLines,
     Round,
     clamped,
     lines,
     mac_of,
+    round_trip_s,
 )
 
 FRAMES = 31
 """Valid frames of 32 requested, the most possible."""
 UNUSED_SIGMA_M = 0.5
-SIMULATION_BEGAN_S = 1_718_000_000.0
-"""Unix time at the start of the simulation, for formats with wall-clock time."""
-
-
-def round_trip_s(range_m: float) -> float:
-    """Return the round-trip time, s."""
-    return 2.0 * range_m / LIGHT_MPS
 
 
 def esp_log(level: str, clock_ms: int | None, text: str, *, is_coloured: bool = True) -> str:
@@ -69,19 +64,17 @@ class Esp32Ftm(LineEmulator):
     names = "{mac}"
     rate_hz = 2.0
     prints_silence = True
-
-    def boot(self) -> bytes:
-        """Return boot loader messages, the first of them at another baud rate."""
-        return b"\xe3\x9c\x00\xfe\r\n" + lines(
-            [
-                "ESP-ROM:esp32s2-rc4-20191025",
-                "rst:0x1 (POWERON),boot:0x8 (SPI_FAST_FLASH_BOOT)",
-                esp_log("I", 27, "boot: ESP-IDF v5.2 2nd stage bootloader"),
-                "",
-                "Type 'help' to get the list of commands.",
-                "esp32s2> ",
-            ]
-        )
+    banner = b"\xe3\x9c\x00\xfe\r\n" + lines(
+        [
+            "ESP-ROM:esp32s2-rc4-20191025",
+            "rst:0x1 (POWERON),boot:0x8 (SPI_FAST_FLASH_BOOT)",
+            esp_log("I", 27, "boot: ESP-IDF v5.2 2nd stage bootloader"),
+            "",
+            "Type 'help' to get the list of commands.",
+            "esp32s2> ",
+        ]
+    )
+    """Messages of the boot loader, the first of them at another baud rate."""
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a session."""
@@ -111,7 +104,7 @@ def arduino_estimate(range_m: float) -> str:
     return f"FTM Estimate: Distance: {cm / 100.0:.2f} m, Return Time: {rtt_ns} ns"
 
 
-class Esp32Arduino(LineEmulator):
+class Esp32Arduino(RangeLines):
     """The Arduino example, whose output has neither names nor a clock."""
 
     name = "esp32_arduino"
@@ -119,15 +112,12 @@ class Esp32Arduino(LineEmulator):
     names = ""
     rate_hz = 2.0
     most = 1
-    prints_silence = True
+    banner = lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
+    silence = ("FTM Error: FAIL",)
 
-    def boot(self) -> bytes:
-        """Return boot loader and connection messages."""
-        return lines(["ESP-ROM:esp32s2-rc4-20191025", "Connecting to FTM Access Point", "....."])
-
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a line in any case."""
-        return ["FTM Error: FAIL" if answer.range_m is None else arduino_estimate(answer.range_m)]
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:  # noqa: ARG002
+        """Return the estimate alone."""
+        return [arduino_estimate(range_m)]
 
 
 def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
@@ -138,20 +128,18 @@ def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) 
     return row + "".join(f"{rtt_ps},{rssi},0,0,0,0," for rtt_ps, rssi in frames)
 
 
-class FtmCsv(LineEmulator):
+class FtmCsv(RangeLines):
     """GTEC's tag firmware: one row for each anchor that answered."""
 
     name = "ftm_csv"
     title = "ESP32 Wi-Fi FTM, rows of GTEC's esp32s2-ftm-tag"
     rate_hz = 2.0
 
-    def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
-        """Return a row with the range; none without one."""
-        if answer.range_m is None:
-            return []
-        rtt_ps = max(0, round(1e12 * round_trip_s(answer.range_m)))
+    def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:  # noqa: ARG002
+        """Return a row of four frames."""
+        rtt_ps = max(0, round(1e12 * round_trip_s(range_m)))
         frames = [(rtt_ps, round(answer.power_dbm))] * 4
-        return [gtec_row(answer.emitter_id, answer.range_m, frames)]
+        return [gtec_row(answer.emitter_id, range_m, frames)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,10 +242,7 @@ class AndroidRtt(LineEmulator):
     epoch_s = SIMULATION_BEGAN_S
     ATTEMPTED = 8
     prints_silence = True
-
-    def boot(self) -> bytes:
-        """Return the header."""
-        return lines([ANDROID_HEADER])
+    banner = lines([ANDROID_HEADER])
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a row, answered or not."""

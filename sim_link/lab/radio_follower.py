@@ -240,7 +240,7 @@ class RadioFollower(OneShotEndpoint):
         super().handle_timer(now_s)
         if self._emulator is not None and not self._has_booted:
             self._has_booted = True
-            self._print(self._emulator.boot())
+            self._print(self._emulator.banner)
         if self._system_id is None:
             return
         if self._emulator is None:

@@ -123,7 +123,7 @@ class Acme(Emulator):
             "from sim_link.emulators import acme as acme_radio\n",
             r"^from companion.errors import .*\n",
         ),
-        Edit("sim_link/emulators/catalogue.py", "    acme_radio.Acme,\n", r"^KINDS: .*= \(\n"),
+        Edit("sim_link/emulators/catalogue.py", "    acme_radio,\n", r"^MODULES = \(\n"),
         Edit("tests/radio_formats.py", '    Format("acme", "acme", 0.5e-3),\n', r"^FORMATS = \(\n"),
     ),
     6: (

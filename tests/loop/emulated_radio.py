@@ -149,7 +149,7 @@ class EmulatedRadio:
         self._emulator = emulator
         self._codec = MavCodec(1, mavlink.MAV_COMP_ID_PERIPHERAL)
         self._coarsen = coarsen
-        self._boot = b"" if emulator is None else emulator.boot()
+        self._boot = b"" if emulator is None else emulator.banner
 
     def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
         heard = self._heard(sim, now_s)

@@ -66,7 +66,7 @@ class Bench:
     def _told(self) -> Iterator[bytes]:
         """What it prints until the present, each time that is asked."""
         number, due_s = 0, 0.0
-        yield self.emulator.boot()
+        yield self.emulator.banner
         while True:
             said = b""
             while due_s <= self.now_s:
@@ -97,7 +97,7 @@ class Bench:
 def printed(format_: Format) -> bytes:
     """Ten seconds at the radio's own rate."""
     emulator = make_emulator(format_.name, 3)
-    said = emulator.boot()
+    said = emulator.banner
     for number in range(round(10.0 * emulator.rate_hz)):
         said += emulator.say(round_at(emulator, 1.0 + number / emulator.rate_hz, number))
     return said

@@ -58,7 +58,7 @@ def said(
     """What was measured, and what was printed of it and when."""
     rng = np.random.default_rng(11)
     radio = make_emulator(format_.name, 1, clock_s)
-    measured, printed = [], [(radio.boot(), 0.0)]
+    measured, printed = [], [(radio.banner, 0.0)]
     for number in range(rounds):
         sent_at_s = 1.0 + 0.2 * number + float(rng.uniform(0.0, 0.1))
         each = drawn(rng, sent_at_s, is_array=radio.antenna in ("line", "two_axis"))
@@ -197,7 +197,7 @@ def test_emitters_are_told_apart(format_: Format) -> None:
     rng = np.random.default_rng(5)
     is_array = radio.antenna in ("line", "two_axis")
     told = {i: replace(drawn(rng, 2.0, is_array=is_array), emitter_id=i) for i in ids}
-    stage.receive(radio.boot() or b"\n", 0.0)
+    stage.receive(radio.banner or b"\n", 0.0)
     asked = Round(2.0, (*(Answer(i, told[i]) for i in ids[:3]), Answer(5)))
     got = stage.receive(radio.say(asked), 2.0)
     assert sorted(each.emitter_id for each in got) == [1, 2, 3]
