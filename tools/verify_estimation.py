@@ -9,14 +9,8 @@
     walks       only if asked for: recorded walks in --walks FOLDER (rtt*, uwb*, plaza* and wsr*
                 .csv): error of the final and of the better stated position, states and share that
                 holds, at the end and at each tenth of the way, and the cost of a measurement
-    honesty     NEES of the position and coverage of the R95 circle, with the noise that the filter
-                assumes (no NLOS; offsets of the paper, or drawn from the priors), and coverage
-                with the paper's NLOS, on lanes and on latched crossings
 
-A share of runs is itself uncertain: with 200 runs a consistent 95 % circle contains the target in
-92 to 98 % of them at one step, and among 480 steps it leaves 93 to 97 % at some. Beside the
-extremes over steps stands therefore the mean over them, which separates a bias from chance; for the
-extremes to mean something it takes some 2000 runs.
+Honesty of covariance and R95 is the study `consistency` of tools/run_study.py.
 """
 
 from __future__ import annotations
@@ -32,43 +26,28 @@ from pathlib import Path
 from typing import Final, Literal
 
 import msgspec
-import numpy as np
 
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import check_writable, write_json_atomic
 from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, done_by, non_negative, positive
-from tools.study.case import PAPER_BELIEF, Case, Offsets
-from tools.study.metrics import (
-    COVERAGE_BAND,
-    SETTLED_STEP,
-    diverged_count,
-    nees_band,
-    steps_to_settle,
-)
+from tools.study.case import PAPER_BELIEF, Case
+from tools.study.metrics import diverged_count, steps_to_settle
 from tools.study.reporting.study_tables import rmse_interval_m
-from tools.study.systems import FilterName, PlannerName, System
+from tools.study.systems import PlannerName, System
 from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
 from tools.study.walks.walk_choice import left_out_lines
 from tools.study.walks.walk_figures import walk_lines
 
-Part = Literal["lawnmower", "bound", "honesty", "walks"]
-PARTS: tuple[Part, ...] = ("lawnmower", "bound", "honesty")
+Part = Literal["lawnmower", "bound", "walks"]
+PARTS: tuple[Part, ...] = ("lawnmower", "bound")
 """Parts that are measured by default."""
 
 MAX_LAWNMOWER_RMSE_M = 0.35
 OFFSET_BAND_M = (4.5, 6.5)
 MAX_BOUND_RATIO = 1.3
 RANGE_SIGMAS_M = (0.5, 1.5, 2.5)
-HONESTY_CASES: tuple[tuple[float, Offsets], ...] = ((0.0, "fixed"), (0.0, "prior"), (0.9, "fixed"))
-"""Share of NLOS measurements, and the source of the offsets."""
-HONESTY_SYSTEMS: tuple[tuple[FilterName, PlannerName], ...] = (
-    ("tracker", "passive"),
-    ("tracker", "latched"),
-    ("asymmetric_huber", "passive"),
-    ("asymmetric_huber", "latched"),
-)
 
 WALKS = Path(__file__).resolve().parent.parent / "tests" / "data"
 """Path of one recorded walk."""
@@ -184,70 +163,13 @@ def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     )
 
 
-def honesty_systems() -> list[tuple[Case, System]]:
-    """Return filter and tracker on lanes and on crossings, in known noise and in the paper's."""
-    return [
-        (honesty_case(p_nlos, offsets), System(name, planner))
-        for p_nlos, offsets in HONESTY_CASES
-        for name, planner in HONESTY_SYSTEMS
-    ]
-
-
-def honesty_case(p_nlos: float, offsets: Offsets) -> Case:
-    """Return the canonical scenario with another share of NLOS, or with drawn offsets."""
-    return Case(channel=ChannelParams(p_nlos=p_nlos), offsets=offsets)
-
-
-def honesty_figures(campaign: RunSeries, tally: RunTally) -> list[Figure]:
-    """Return NEES if the noise is as assumed, and coverage; only the tracker must be consistent."""
-    case, label = campaign.case, campaign.system.label
-    is_as_assumed = case.channel.p_nlos == 0.0
-    must = campaign.system.filter == "tracker"
-    offsets = "" if case.offsets == "fixed" else ", offsets drawn"
-    name = f"{label}, {'LOS' if is_as_assumed else 'NLOS'}{offsets}"
-    inside, (low, high) = tally.coverage[SETTLED_STEP:], COVERAGE_BAND
-    least, most = float(inside.min()), float(inside.max())
-    is_covered = low <= least and (most <= high or not is_as_assumed)
-    limit = f"{low:g} to {high:g}" if is_as_assumed else f">= {low:g}"
-    share_out = np.mean((inside < low) | ((inside > high) & is_as_assumed))
-    coverage = Figure(
-        "honesty",
-        f"{name}: coverage of R95, mean over steps",
-        float(inside.mean()),
-        f"each step {limit}" if must else "",
-        is_covered if must else None,
-        f"{least:.3f} to {most:.3f}, {share_out:.0%} of steps outside",
-    )
-    if not is_as_assumed:
-        return [coverage]
-    return [nees_figure(name, tally, must=must), coverage]
-
-
-def nees_figure(name: str, tally: RunTally, *, must: bool) -> Figure:
-    """Return the mean NEES after the last step."""
-    low, high = nees_band(tally.runs)
-    means = tally.mean_nees[SETTLED_STEP:]
-    last = float(means[-1])
-    share = np.mean((means >= low) & (means <= high))
-    return Figure(
-        "honesty",
-        f"{name}: mean NEES",
-        last,
-        f"{low:.2f} to {high:.2f}" if must else "",
-        low <= last <= high if must else None,
-        f"over steps {means.mean():.2f}, {share:.0%} of them inside",
-    )
-
-
 SYSTEMS: dict[Part, Callable[[], list[tuple[Case, System]]]] = {
     "lawnmower": lawnmower_systems,
     "bound": bound_systems,
-    "honesty": honesty_systems,
 }
 FIGURES: dict[Part, Callable[[Measured], list[Figure]]] = {
     "lawnmower": lawnmower_figures,
     "bound": lambda measured: [bound_figure(*each) for each in measured],
-    "honesty": lambda measured: [figure for each in measured for figure in honesty_figures(*each)],
 }
 
 
