@@ -23,11 +23,10 @@ import platform
 import statistics
 import subprocess
 import sys
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from time import perf_counter
-from typing import TypeVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -35,24 +34,24 @@ from filterpy.kalman import ExtendedKalmanFilter
 from companion.domain import RangingMeasurement
 from companion.estimation.filters.target_filter import FilterState
 from companion.estimation.window.map_kernels import (
-    COLUMNS,
     DAMPING_START,
     map_step,
     measured_innovations,
 )
 from companion.kernel import Matrix, Vector, kernel
-from tools.study.case import (
-    CHANNEL,
-    TRUTH,
-    Case,
-    drawn,
-    measured,
-    stream,
-    track_of,
-    truth_of,
+from companion.planning.views import NO_LATCH
+from tools.study.case import PLANNER, Case, channel_draws, measured, stream
+from tools.study.systems import System, belief_of, recursive_filter_of, steering_of
+from tools.study.trials import run_trial
+from tools.study.walk import (
+    FIXED,
+    WalkFilter,
+    WalkSteering,
+    first_fix,
+    history_of,
+    next_place,
+    updated,
 )
-from tools.study.systems import System, belief_of, recursive_filter_of
-from tools.study.walk import WalkFilter, first_fix, updated
 
 WINDOW = 200
 """Measurements of the window whose solution is timed."""
@@ -71,19 +70,35 @@ MAP_STEP = f"MAP step of {WINDOW}"
 Seconds = dict[str, float]
 """Time per update or step, by name."""
 Contender = Callable[[], Seconds]
-Subject = TypeVar("Subject", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Input of every filter."""
+    """Run of a system, with all data for retracing it."""
 
     case: Case
+    system: System
     track_enu_m: Matrix
     """(n, 2)"""
     z: Matrix
     """(n, 3) range, bearing and no elevation."""
+    picks: Vector
+    """(n,) draws of the planner."""
     belief: WalkFilter
+    steering: WalkSteering
+
+    @classmethod
+    def of(cls, case: Case, system: System) -> Walk:
+        """Fly a system in a case; a ValueError if there are no kernels for its filter."""
+        belief, steering = belief_of(case, system), steering_of(case, system)
+        trial, draws = run_trial(case, system, SEED), channel_draws(case, SEED)
+        track = np.ascontiguousarray(trial.track_enu_m)
+        z = [
+            (*measured(draw, east_m, north_m, trial.truth), math.nan)
+            for draw, (east_m, north_m) in zip(draws, track.tolist(), strict=True)
+        ]
+        picks = stream(SEED, PLANNER).random(case.steps)
+        return cls(case, system, track, np.array(z), picks, belief, steering)
 
     def first_fix(self) -> tuple[Vector, Matrix]:
         """Return the mean and covariance at which all filters start."""
@@ -93,7 +108,7 @@ class Walk:
 
 def print_filters(rounds: int = ROUNDS) -> None:
     """Time the filters, compiled if numba is installed, and plain; print times and limits."""
-    walk = canonical_walk()
+    walk = Walk.of(Case(), SYSTEM)
     has_numba = importlib.util.find_spec("numba") is not None
     compiled = seconds_of(walk, rounds) if has_numba else None
     plain = _plain_in_a_process(rounds) if has_numba else seconds_of(walk, rounds)
@@ -125,24 +140,11 @@ def verdicts_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]
     return found
 
 
-def canonical_walk() -> Walk:
-    """Return the canonical lawnmower, measured once."""
-    case = Case()
-    track = track_of(case)
-    truth = truth_of(case, stream(SEED, TRUTH))
-    draws = drawn(stream(SEED, CHANNEL), case.steps)
-    z = [
-        (*measured(draw, east_m, north_m, truth), math.nan)
-        for draw, (east_m, north_m) in zip(draws, track.tolist(), strict=True)
-    ]
-    return Walk(case, track, np.array(z), belief_of(case, SYSTEM))
-
-
 def contenders(walk: Walk) -> list[Contender]:
     """Return everything that is timed, with the kernels as they are in this process."""
     return [
         lambda: filterpy_seconds(walk),
-        lambda: loop_seconds(walk),
+        lambda: {LOOP: step_seconds(walk, perf_counter)},
         lambda: object_seconds(walk),
         lambda: window_seconds(walk),
     ]
@@ -155,25 +157,25 @@ def seconds_of(walk: Walk, rounds: int) -> dict[str, float]:
 
 def print_times(rounds: int) -> None:
     """Write the medians of this process to its standard output, as JSON."""
-    sys.stdout.write(json.dumps(seconds_of(canonical_walk(), rounds)))
+    sys.stdout.write(json.dumps(seconds_of(Walk.of(Case(), SYSTEM), rounds)))
 
 
-def timed(timers: Mapping[Subject, Sequence[Contender]], rounds: int) -> dict[Subject, Seconds]:
-    """Return the median times of each subject over interleaved rounds, microseconds.
+def timed(timers: Mapping[System, Sequence[Contender]], rounds: int) -> dict[System, Seconds]:
+    """Return the median times of each system over interleaved rounds, microseconds.
 
     The first round, which compiles, is excluded.
     """
-    named = [(subject, timer) for subject, own in timers.items() for timer in own]
+    named = [(system, timer) for system, own in timers.items() for timer in own]
     for _, timer in named:
         timer()
-    found: dict[Subject, dict[str, list[float]]] = {subject: {} for subject in timers}
+    found: dict[System, dict[str, list[float]]] = {system: {} for system in timers}
     for _ in range(rounds):
-        for subject, timer in named:
+        for system, timer in named:
             for name, seconds in timer().items():
-                found[subject].setdefault(name, []).append(seconds)
+                found[system].setdefault(name, []).append(seconds)
     return {
-        subject: {name: 1e6 * statistics.median(values) for name, values in own.items()}
-        for subject, own in found.items()
+        system: {name: 1e6 * statistics.median(values) for name, values in own.items()}
+        for system, own in found.items()
     }
 
 
@@ -197,26 +199,37 @@ def filterpy_seconds(walk: Walk) -> Seconds:
 
 
 @kernel
-def filtered(track_enu_m: Matrix, z: Matrix, belief: WalkFilter) -> Vector:
-    """Return the mean after a walk, (n,); the target lies still, so a prediction changes nothing.
+def retraced(
+    track_enu_m: Matrix, z: Matrix, picks: Vector, belief: WalkFilter, steering: WalkSteering
+) -> tuple[Vector, Matrix]:
+    """Return the last mean, (n,), and every decision after the first one, (steps - 1, 2).
 
     Args:
-        track_enu_m: (n, 2).
-        z: (n, 3).
+        track_enu_m: (steps, 2) positions of the run.
+        z: (steps, 3) its measurements.
+        picks: (steps,) draws of its planner.
     """
-    mean, covariance = first_fix(track_enu_m[0, 0], track_enu_m[0, 1], z[0, 0], z[0, 1], belief)
-    sensor = np.zeros(3)
+    places = track_enu_m[1:].copy()
+    sensor, latch = np.zeros(3), NO_LATCH
+    sensor[:2] = track_enu_m[0]
+    mean, covariance = first_fix(sensor[0], sensor[1], z[0, 0], z[0, 1], belief)
+    if steering.planner != FIXED:
+        _, _, latch = next_place(sensor, mean, covariance, picks[0], latch, belief, steering)
     for step in range(1, z.shape[0]):
         sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
         mean, covariance = updated(mean, covariance, sensor, z[step], belief)
-    return mean
+        if steering.planner != FIXED:
+            places[step - 1, 0], places[step - 1, 1], latch = next_place(
+                sensor, mean, covariance, picks[step], latch, belief, steering
+            )
+    return mean, places
 
 
-def loop_seconds(walk: Walk) -> Seconds:
-    """Run once as a loop inside a kernel, as the studies do it."""
-    begun = perf_counter()
-    filtered(walk.track_enu_m, walk.z, walk.belief)
-    return {LOOP: (perf_counter() - begun) / (len(walk.z) - 1)}
+def step_seconds(walk: Walk, clock: Callable[[], float]) -> float:
+    """Run filter and planner once as a loop inside a kernel, as the studies do; s a step."""
+    begun = clock()
+    retraced(walk.track_enu_m, walk.z, walk.picks, walk.belief, walk.steering)
+    return (clock() - begun) / (len(walk.z) - 1)
 
 
 def object_seconds(walk: Walk) -> Seconds:
@@ -233,48 +246,34 @@ def object_seconds(walk: Walk) -> Seconds:
     return {OBJECT: (perf_counter() - begun) / len(seen)}
 
 
+def window_seconds(walk: Walk) -> Seconds:
+    """Time the first step of a window's solution."""
+    rows, start = window_rows(walk), walk.belief.prior_mean.copy()
+    start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
+    begun = perf_counter()
+    stepped_often(rows, start, walk.belief, MAP_STEPS)
+    return {MAP_STEP: (perf_counter() - begun) / MAP_STEPS}
+
+
 @kernel
-def stepped_often(
-    rows: Matrix, start: Vector, belief: WalkFilter, information: Matrix, pull: Vector, steps: int
-) -> float:
-    """Return the sum of the eastings at which `count` first steps of the window end."""
-    total = 0.0
+def stepped_often(rows: Matrix, start: Vector, belief: WalkFilter, steps: int) -> float:
+    """Return the sum of the eastings at which `steps` first steps of the window end."""
+    limits, bounds, model = belief.thresholds, belief.bounds, belief.model
+    information, pull, total = belief.information, belief.pull, 0.0
     for _ in range(steps):
+        offs = measured_innovations(rows, start, model)
         moved, _, _, _, _ = map_step(
-            rows,
-            start,
-            measured_innovations(rows, start, belief.model),
-            DAMPING_START,
-            belief.thresholds,
-            belief.bounds,
-            information,
-            pull,
-            belief.model,
+            rows, start, offs, DAMPING_START, limits, bounds, information, pull, model
         )
         total += moved[0]
     return total
 
 
-def window_seconds(walk: Walk) -> Seconds:
-    """Time the first step of a window's solution."""
-    rows, belief = window_rows(walk), walk.belief
-    start = belief.prior_mean.copy()
-    start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
-    weights = 1.0 / belief.prior_sigmas**2
-    weights[:2] = 0.0
-    information, pull = np.diag(weights), weights * belief.prior_mean
-    begun = perf_counter()
-    stepped_often(rows, start, belief, information, pull, MAP_STEPS)
-    return {MAP_STEP: (perf_counter() - begun) / MAP_STEPS}
-
-
 def window_rows(walk: Walk) -> Matrix:
     """Return the first measurements as a window holds them, (WINDOW, COLUMNS)."""
-    rows = np.zeros((WINDOW, COLUMNS))
-    rows[:, :2] = walk.track_enu_m[:WINDOW]
+    rows = history_of(WINDOW, walk.belief)
+    rows[:, :2], rows[:, 2] = walk.track_enu_m[:WINDOW], 0.0
     rows[:, 3:6] = walk.z[:WINDOW]
-    rows[:, 6:9] = walk.belief.sigma
-    rows[:, 9] = np.arange(WINDOW)
     return rows
 
 

@@ -15,10 +15,9 @@ from tools.benches.filter_bench import (
     SYSTEM,
     WINDOW,
     Walk,
-    canonical_walk,
-    filtered,
     print_filters,
     print_times,
+    retraced,
     seconds_of,
     verdicts_of,
     window_rows,
@@ -31,7 +30,7 @@ COSTS_US = {FILTERPY_PREDICT: 4.0, FILTERPY_UPDATE: 16.0, LOOP: 2.0, OBJECT: 48.
 
 @pytest.fixture
 def walk() -> Walk:
-    return canonical_walk()
+    return Walk.of(Case(), SYSTEM)
 
 
 def test_limits_are_met_at_their_value() -> None:
@@ -52,7 +51,7 @@ def test_without_numba_only_plain_python_is_judged() -> None:
 
 def test_the_loop_ends_where_the_studies_walk_does(walk: Walk) -> None:
     trial = run_trial(Case(), SYSTEM, 1)
-    mean = filtered(walk.track_enu_m, walk.z, walk.belief)
+    mean, _ = retraced(walk.track_enu_m, walk.z, walk.picks, walk.belief, walk.steering)
     np.testing.assert_allclose(mean[:2], trial.estimates_enu_m[-1], rtol=1e-9)
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tools.benches.filter_bench import Walk, retraced
 from tools.study.case import Case
-from tools.study.step_costs import recorded_run, retraced
 from tools.study.systems import PlannerName, System
 
 SHORT = Case(steps=40)
@@ -12,8 +12,8 @@ SHORT = Case(steps=40)
 
 @pytest.mark.parametrize("planner", ["reactive", "latched", "fim", "fim_printed"])
 def test_what_is_timed_flies_where_the_run_went(planner: PlannerName) -> None:
-    run = recorded_run(SHORT, System("asymmetric_huber", planner))
-    track, belief = run.walk.track_enu_m, run.walk.belief
-    places = retraced(track, run.walk.z, run.picks, belief, run.steering)
+    walk = Walk.of(SHORT, System("asymmetric_huber", planner))
+    track = walk.track_enu_m
+    _, places = retraced(track, walk.z, walk.picks, walk.belief, walk.steering)
     np.testing.assert_allclose(places[:-1], track[2:], atol=1e-9)
     assert np.ptp(track, axis=0).max() > SHORT.step_m
