@@ -1,4 +1,4 @@
-"""Console helpers of the command-line tools: argument types, one-line errors, progress.
+"""Console helpers of the command-line tools: arguments, one-line errors, progress, no logs.
 
 A long run shows a bar with the remaining time on a terminal, and a line now and then elsewhere.
 """
@@ -6,6 +6,7 @@ A long run shows a bar with the remaining time on a terminal, and a line now and
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -66,6 +67,22 @@ def _at_least(least: int, text: str) -> int:
     return value
 
 
+@contextmanager
+def without_logs() -> Iterator[None]:
+    """Suppress the logs of flights; also a decorator."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def say(text: str) -> None:
+    """Print a line of progress."""
+    print(text, file=sys.stderr, flush=True)
+
+
 LINE_EVERY_S = 15.0
 
 OnDone = Callable[[float], None]
@@ -80,7 +97,7 @@ def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
         total: Of the work, in any unit that is proportional to time.
     """
     if not stream.isatty():
-        yield Lines(total, stream, monotonic).done
+        yield progress_lines(total, stream, monotonic)
         return
     columns = (
         TextColumn("{task.description}"),
@@ -114,33 +131,24 @@ def done_by(
     return [found[position] for position in range(len(items))]
 
 
-class Lines:
-    """Progress in lines of text, the first after some time.
+def progress_lines(total: float, stream: TextIO, clock: Callable[[], float]) -> OnDone:
+    """Return what adds finished work, and writes a line now and then, the first after some time.
 
     Args:
         clock: Monotonic seconds.
     """
+    done, begun_s = 0.0, clock()
+    said_s = begun_s
 
-    def __init__(self, total: float, stream: TextIO, clock: Callable[[], float]) -> None:
-        self._total = total
-        self._stream = stream
-        self._clock = clock
-        self._done = 0.0
-        self._begun_s = self._said_s = clock()
+    def add(share: float) -> None:
+        nonlocal done, said_s
+        done, now_s = done + share, clock()
+        if now_s - said_s >= LINE_EVERY_S:
+            said_s = now_s
+            left = span_text((now_s - begun_s) * (total - done) / done)
+            print(f"{done / total:4.0%} done, about {left} left", file=stream, flush=True)
 
-    def done(self, share: float) -> None:
-        """Add finished work to the progress line."""
-        self._done += share
-        now_s = self._clock()
-        if now_s - self._said_s < LINE_EVERY_S:
-            return
-        self._said_s = now_s
-        left_s = (now_s - self._begun_s) * (self._total - self._done) / self._done
-        print(
-            f"{self._done / self._total:4.0%} done, about {span_text(left_s)} left",
-            file=self._stream,
-            flush=True,
-        )
+    return add
 
 
 def span_text(seconds: float) -> str:

@@ -23,29 +23,26 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
-from tools.console import OneLineParser, done_by, non_negative, positive, shown
+from tools.console import OneLineParser, done_by, non_negative, positive, say
 from tools.study import search_planners, searched_area
-from tools.study.field_flights import flights_of, fly_all, rows_kept
+from tools.study.field_flights import flights_of, fly
 from tools.study.power_pairs import fly_both, table_of_power
 from tools.study.reporting.area_report import write_area_report
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
 from tools.study.reporting.study_report import Section, sections_of, write_page
-from tools.study.reporting.study_tables import (
-    rows_of,
-    studies_of,
-)
+from tools.study.reporting.study_tables import rows_of, studies_of
 from tools.study.reporting.tables import tables_of
 from tools.study.searched_prior import fly_pair, table_of_pairs
 from tools.study.step_costs import costs_of
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
 from tools.study.study_run import (
     FOLDER_NAME,
-    PlannedStudy,
     Store,
     carried_out,
     cost_of,
-    planned,
+    made_folder,
     results_of,
+    tallied,
     work_of,
 )
 
@@ -62,26 +59,23 @@ def main() -> int:
         if arguments.study in SIMULATED:
             return run_simulated(arguments, out)
         studies = studies_of(arguments.study, STUDIES)
+        if arguments.runs:
+            studies = [msgspec.structs.replace(study, runs=arguments.runs) for study in studies]
         if studies[0].flights is not None:
             return run_flights(studies[0], arguments, out)
         if arguments.only:
             raise ConfigError("--only: this study has no flights to choose from")
-        return run(planned(studies, arguments.runs), arguments, out)
+        return run(studies, arguments, out)
     except ConfigError as error:
-        print(f"run_study: {error}", file=sys.stderr)
-        return 2
+        code, text = 2, str(error)
     except WorkerLostError as error:
-        print(f"run_study: {error}; run the same command again to go on", file=sys.stderr)
-        return 1
+        code, text = 1, f"{error}; run the same command again to go on"
     except CompanionError as error:
-        print(f"run_study: {error}", file=sys.stderr)
-        return 1
+        code, text = 1, str(error)
     except KeyboardInterrupt:
-        print(
-            "run_study: stopped; what is done is kept, run the same command again to go on",
-            file=sys.stderr,
-        )
-        return 1
+        code, text = 1, "stopped; what is done is kept, run the same command again to go on"
+    say(f"run_study: {text}")
+    return code
 
 
 def parsed() -> argparse.Namespace:
@@ -107,24 +101,18 @@ def parsed() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def run(studies: list[PlannedStudy], arguments: argparse.Namespace, out: Path) -> int:
+def run(studies: list[Study], arguments: argparse.Namespace, out: Path) -> int:
     """Run after the arguments are checked: nothing is made before the backend is there."""
     work = work_of(studies, arguments.seed)
     with open_pool(arguments.backend, arguments.jobs) as pool:
-        make_folder(out)
         store = Store(out / FOLDER_NAME)
-        kept = store.found(work)
-        say(f"{len(work)} blocks of runs, {len(kept)} of them done before")
-        left = {key: task for key, task in work.items() if key not in kept}
-        if left:
-            say("kernels that were not compiled before take a minute or two first")
-            with shown(sum(map(cost_of, left.values())), sys.stderr) as on_done:
-                carried_out(left, pool, store, on_done)
+        say("kernels that were not compiled before take a minute or two first")
+        carried_out(work, tallied, cost_of, pool, store, "blocks of runs")
         written(studies, store, arguments.seed, out)
     return 0
 
 
-def written(studies: list[PlannedStudy], store: Store, seed: int, out: Path) -> None:
+def written(studies: list[Study], store: Store, seed: int, out: Path) -> None:
     """Write tables and the report of finished work."""
     results = results_of(studies, seed, store)
     rows = [row for result in results for row in rows_of(result)]
@@ -138,19 +126,18 @@ def written(studies: list[PlannedStudy], store: Store, seed: int, out: Path) -> 
 def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
     """Run a study of flights; after an interruption the finished flights are written, too."""
     assert study.flights is not None
-    runs = arguments.runs or study.runs
-    flights = flights_of(study.flights, STUDIES.parent, runs, arguments.seed, arguments.only)
+    seed = arguments.seed
+    flights = flights_of(study.flights, STUDIES.parent, study.runs, seed, arguments.only)
+    work = {flight.key: flight for flight in flights}
     with open_pool(arguments.backend, arguments.jobs) as pool:
-        make_folder(out)
         store = Store(out / FOLDER_NAME)
-        kept = store.found(flight.key for flight in flights)
-        left = [flight for flight in flights if flight.key not in kept]
-        say(f"{len(flights)} flights, {len(kept)} of them done before")
         try:
-            with shown(sum(flight.cut_s for flight in left), sys.stderr) as on_done:
-                fly_all(left, pool, store, on_done)
+            carried_out(work, fly, lambda flight: flight.cut_s, pool, store, "flights")
         finally:
-            write_flights(study, rows_kept(flights, store), arguments.seed, out)
+            kept = store.found(work).values()
+            write_flights(
+                study, [msgspec.json.decode(row, type=FlightRow) for row in kept], seed, out
+            )
     return 0
 
 
@@ -173,10 +160,10 @@ def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
     study = SIMULATED[arguments.study]
     runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
     flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
-    make_folder(out)
+    made_folder(out)
     if study.write(out, flown):
         return 0
-    print(f"run_study: {study.failure}", file=sys.stderr)
+    say(f"run_study: {study.failure}")
     return 1
 
 
@@ -264,26 +251,6 @@ def check_folder(path: Path) -> None:
         raise ConfigError(f"--out {path}: {place} is a file; choose a folder")
     if not os.access(place, os.W_OK | os.X_OK):
         raise ConfigError(f"--out {path}: {place} cannot be written; check its permissions")
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder with its parents, if it is not there.
-
-    Raises:
-        ConfigError: It cannot be created, or not be written into.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / f".probe.{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise ConfigError(f"--out {path}: cannot be written ({error.strerror})") from None
-
-
-def say(text: str) -> None:
-    """Print a line of progress."""
-    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -12,6 +11,7 @@ from companion.errors import ConfigError
 from sim_link.lab.pool import LOCAL, WorkerLostError, open_pool
 from tools.campaign import clock_trials, endurance, link_trials, process_trials, random_missions
 from tools.campaign.flights import Part, Trial, TrialFinding, TrialOutcome
+from tools.console import without_logs
 
 ALL = (
     random_missions.MISSIONS,
@@ -165,14 +165,10 @@ def run_all(
     return tally
 
 
+@without_logs()
 def _run_quietly(trial: Trial) -> TrialOutcome:
-    """Return the outcome without its story, and suppress the logs of flights."""
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    try:
-        return replace(run_one(trial), story=())
-    finally:
-        logging.disable(before)
+    """Return the outcome without its story."""
+    return replace(run_one(trial), story=())
 
 
 def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> CampaignTally:

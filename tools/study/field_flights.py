@@ -10,9 +10,8 @@ of a seed meet the same.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -27,9 +26,10 @@ from companion.geometry.polygons import Point
 from sim_link.autopilot.scenario import Scenario
 from sim_link.fleet import load_scenario
 from sim_link.lab.lockstep import Flight, MemoryJournal
-from sim_link.lab.pool import Pool, sources_digest
+from sim_link.lab.pool import sources_digest
+from tools.console import without_logs
 from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint
-from tools.study.study_run import Store, key_of
+from tools.study.study_run import key_of
 
 ENGAGED_BY_S = 120.0
 """Boot and take-off take a third of it; who has not begun by then never will."""
@@ -146,14 +146,10 @@ def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:
     )
 
 
+@without_logs()
 def fly(task: FieldFlight) -> bytes:
     """Fly it; return the row as JSON."""
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    try:
-        return msgspec.json.encode(_flown(task))
-    finally:
-        logging.disable(before)
+    return msgspec.json.encode(_flown(task))
 
 
 def _flown(task: FieldFlight) -> FlightRow:
@@ -185,18 +181,3 @@ def _flown(task: FieldFlight) -> FlightRow:
         north_m=truth[1],
         flown_m=vehicle.aircraft.distance_m,
     )
-
-
-def fly_all(
-    flights: Sequence[FieldFlight], pool: Pool, store: Store, on_done: Callable[[float], None]
-) -> None:
-    """Fly them, keep their rows, and report the seconds of each."""
-    for position, row in pool.results(fly, flights):
-        store.keep(flights[position].key, row)
-        on_done(flights[position].cut_s)
-
-
-def rows_kept(flights: Sequence[FieldFlight], store: Store) -> list[FlightRow]:
-    """Return the rows of finished flights, in their order."""
-    kept = store.found(flight.key for flight in flights)
-    return [msgspec.json.decode(kept[f.key], type=FlightRow) for f in flights if f.key in kept]

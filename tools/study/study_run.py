@@ -1,28 +1,30 @@
-"""Carries out studies: kernels, blocks of runs, and the store that keeps them.
+"""Carries out studies: blocks of runs or flights, and the store that keeps their results.
 
-Blocks are done once, the longest first, and kept in a folder: a killed run resumes where it was. A
-block's key covers everything that determines it, sources included, so that blocks of other studies
-may lie in the same folder.
+Each is done once and kept in a folder: a killed run resumes where it was. A key covers everything
+that determines a result, sources included, so that results of other studies may lie in the same
+folder.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_bytes_atomic
-from companion.kernel import IS_COMPILED
 from sim_link.lab.pool import Pool, sources_digest
+from tools.console import say, shown
 from tools.study import trials
-from tools.study.study import Cell, CellResult, Study, StudyResult, cells_of
+from tools.study.study import CellResult, Study, StudyResult, cells_of
 from tools.study.systems import FilterName
 from tools.study.trials import RunSeries
 
+Task = TypeVar("Task")
 FOLDER_NAME = "blocks"
 
 
@@ -31,16 +33,21 @@ def key_of(*parts: object) -> str:
     return hashlib.sha256(msgspec.json.encode(parts)).hexdigest()
 
 
+def made_folder(path: Path) -> Path:
+    """Make a folder with its parents, if it is not there; a ConfigError if that fails."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        text = f"{path}: {error.strerror}; delete it, or choose another --out"
+        raise ConfigError(text) from None
+    return path
+
+
 class Store:
     """Results by key, a file for each; a ConfigError if the folder cannot be made."""
 
     def __init__(self, folder: Path) -> None:
-        try:
-            folder.mkdir(exist_ok=True)
-        except OSError as error:
-            text = f"{folder}: {error.strerror}; delete it, or choose another --out"
-            raise ConfigError(text) from None
-        self._folder = folder
+        self._folder = made_folder(folder)
 
     def found(self, keys: Iterable[str]) -> dict[str, bytes]:
         """Return the results of those keys that have one; a CompanionError if unreadable."""
@@ -55,8 +62,28 @@ class Store:
         write_bytes_atomic(self._folder / key, result)
 
 
-Work = Mapping[str, RunSeries]
-"""Results of the studies by key, each once: blocks of runs."""
+def carried_out(
+    work: Mapping[str, Task],
+    perform: Callable[[Task], bytes],
+    cost: Callable[[Task], float],
+    pool: Pool,
+    store: Store,
+    name: str,
+) -> None:
+    """Do what is not kept yet in its order, and keep it; stderr shows the progress.
+
+    Args:
+        name: Of the tasks, in the plural.
+    """
+    kept = store.found(work)
+    left = [(key, task) for key, task in work.items() if key not in kept]
+    say(f"{len(work)} {name}, {len(kept)} of them done before")
+    with shown(sum(cost(task) for _, task in left), sys.stderr) as on_done:
+        for position, result in pool.results(perform, [task for _, task in left]):
+            key, task = left[position]
+            store.keep(key, result)
+            on_done(cost(task))
+
 
 COST_MS: dict[FilterName, float] = {"admm": 3.0, "map": 7.5, "tracker": 50.0}
 """Approximate time of a run of 500 steps, ms; others take USUAL_COST_MS."""
@@ -64,87 +91,36 @@ USUAL_COST_MS = 1.7
 USUAL_STEPS = 500
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedStudy:
-    """A study with its cells and the number of runs of each."""
-
-    study: Study
-    runs: int
-    cells: tuple[Cell, ...]
-
-    def blocks(self, cell: Cell, seed: int) -> list[RunSeries]:
-        """Return the runs of one of its cells."""
-        return RunSeries(cell.case, cell.system, seed, self.runs).blocks()
+def blocks_of(study: Study, seed: int) -> list[list[RunSeries]]:
+    """Return the runs of each cell of a study, in blocks."""
+    return [
+        RunSeries(cell.case, cell.system, seed, study.runs).blocks() for cell in cells_of(study)
+    ]
 
 
-def planned(studies: Sequence[Study], runs: int | None) -> list[PlannedStudy]:
-    """Return studies with their cells, of so many runs each; None.
-
-    As many as each study specifies.
-    """
-    return [PlannedStudy(s, runs or s.runs, tuple(cells_of(s))) for s in studies]
-
-
-def work_of(studies: Iterable[PlannedStudy], seed: int) -> dict[str, RunSeries]:
-    """Return all work that studies need, shared work once."""
-    work: dict[str, RunSeries] = {}
-    for study in studies:
-        for cell in study.cells:
-            work.update((task_key(task), task) for task in study.blocks(cell, seed))
-    return work
+def work_of(studies: Iterable[Study], seed: int) -> dict[str, RunSeries]:
+    """Return all blocks that studies need, shared ones once, the longest first."""
+    blocks = (block for study in studies for own in blocks_of(study, seed) for block in own)
+    work = {task_key(block): block for block in blocks}
+    return dict(sorted(work.items(), key=lambda item: -cost_of(item[1])))
 
 
-def carried_out(work: Work, pool: Pool, store: Store, on_done: Callable[[float], None]) -> None:
-    """Do all of it, keep it, and report the cost of every finished task.
-
-    Runs of compiled kernels wait until one process has compiled them, which takes a minute after a
-    change of the sources; the others do those that need none meanwhile.
-    """
-    pending = sorted(work.items(), key=lambda item: -cost_of(item[1]))
-    compiled = [item for item in pending if item[1].system.is_compiled]
-    others = [item for item in pending if not item[1].system.is_compiled]
-    for items, first in ((others, first_runs(task for _, task in compiled)), (compiled, ())):
-        for position, result in pool.results(_perform, [first, *((task,) for _, task in items)]):
-            if position > 0:
-                key, task = items[position - 1]
-                store.keep(key, result)
-                on_done(cost_of(task))
+def tallied(task: RunSeries) -> bytes:
+    """Do a block of runs; return its encoded tally."""
+    return trials.tally_of(task).packed()
 
 
-STEPS = 12
-"""Enough of a run to call everything once."""
-
-
-def first_runs(tasks: Iterable[RunSeries]) -> tuple[RunSeries, ...]:
-    """Return short runs that call every kernel of some tasks; none if nothing is compiled."""
-    kinds: dict[bool, RunSeries] = {}
-    for task in tasks if IS_COMPILED else ():
-        short = msgspec.structs.replace(task.case, steps=STEPS)
-        kinds.setdefault(bool(task.case.obstacles), RunSeries(short, task.system, 0, 1))
-    return tuple(kinds.values())
-
-
-def _perform(tasks: tuple[RunSeries, ...]) -> bytes:
-    """Carry out tasks, and return the encoded result of the last one."""
-    result = b""
-    for task in tasks:
-        result = trials.tally_of(task).packed()
-    return result
-
-
-def results_of(studies: Iterable[PlannedStudy], seed: int, store: Store) -> list[StudyResult]:
-    """Collect the results of studies from the store; KeyError if a task is missing."""
-    tallies: dict[tuple[str, ...], trials.RunTally] = {}
+def results_of(studies: Iterable[Study], seed: int, store: Store) -> list[StudyResult]:
+    """Collect the results of studies from the store; KeyError if a block is missing."""
     results: list[StudyResult] = []
     for study in studies:
         cells: list[CellResult] = []
-        for cell in study.cells:
-            keys = tuple(task_key(block) for block in study.blocks(cell, seed))
-            if keys not in tallies:
-                found = store.found(keys)
-                tallies[keys] = trials.joined_in_order(trials.unpacked(found[key]) for key in keys)
-            cells.append(CellResult.of(cell, tallies[keys]))
-        results.append(StudyResult(study.study, study.runs, seed, tuple(cells)))
+        for cell, blocks in zip(cells_of(study), blocks_of(study, seed), strict=True):
+            keys = [task_key(block) for block in blocks]
+            found = store.found(keys)
+            tally = trials.joined_in_order(trials.unpacked(found[key]) for key in keys)
+            cells.append(CellResult.of(cell, tally))
+        results.append(StudyResult(study, study.runs, seed, tuple(cells)))
     return results
 
 

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from tools.console import LINE_EVERY_S, Lines, shown, span_text
+from tools.console import LINE_EVERY_S, progress_lines, shown, span_text
 
 
 class _Terminal(io.StringIO):
@@ -14,12 +14,12 @@ class _Terminal(io.StringIO):
 
 def test_a_line_now_and_then_says_how_much_is_left() -> None:
     stream, now_s = io.StringIO(), [100.0]
-    lines = Lines(200.0, stream, lambda: now_s[0])
-    lines.done(10.0)
+    add = progress_lines(200.0, stream, lambda: now_s[0])
+    add(10.0)
     assert stream.getvalue() == ""
     now_s[0] += LINE_EVERY_S
-    lines.done(40.0)
-    lines.done(40.0)
+    add(40.0)
+    add(40.0)
     assert stream.getvalue() == " 25% done, about 45 s left\n"
 
 

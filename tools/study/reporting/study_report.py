@@ -15,7 +15,6 @@ from pathlib import Path
 import msgspec
 from markupsafe import Markup
 
-from companion.errors import CompanionError
 from companion.io.files import write_bytes_atomic, write_text_atomic
 from companion.kernel import IS_COMPILED
 from companion.report.page import page_environment
@@ -31,6 +30,7 @@ from tools.study.reporting.tables import (
     typeset,
 )
 from tools.study.study import ResultRow, StudyResult
+from tools.study.study_run import made_folder
 
 
 def open_points(case: Case) -> list[tuple[str, str, str]]:
@@ -77,11 +77,7 @@ def write_page(
     costs: Sequence[ResultRow] = (),
 ) -> None:
     """Write the figures, PNG and SVG, and `report.html`; raises a CompanionError if that fails."""
-    folder = out / FIGURES
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise CompanionError(f"{folder}: cannot be made ({error.strerror})") from error
+    folder = made_folder(out / FIGURES)
     for drawing in (drawing for section in sections for drawing in section.drawings):
         write_bytes_atomic(folder / f"{drawing.name}.svg", drawing.svg.encode())
         write_bytes_atomic(folder / f"{drawing.name}.png", drawing.png)

@@ -5,13 +5,14 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from tools.run_study import check_folder, csv_text, make_folder
+from tools.run_study import check_folder, csv_text
 from tools.study.reporting.study_tables import (
     load_study,
     studies_of,
     study_path,
 )
 from tools.study.study import ResultRow
+from tools.study.study_run import made_folder
 
 FOLDER = Path(__file__).parents[5] / "configs" / "studies"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
@@ -119,10 +120,10 @@ def test_rows_as_csv() -> None:
 def test_a_folder_is_checked_before_it_is_made(tmp_path: Path) -> None:
     check_folder(tmp_path / "a" / "b")
     assert not (tmp_path / "a").exists()
-    make_folder(tmp_path / "a" / "b")
+    made_folder(tmp_path / "a" / "b")
     assert (tmp_path / "a" / "b").is_dir()
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="file is a file"):
         check_folder(tmp_path / "file" / "out")
-    with pytest.raises(ConfigError, match="cannot be written"):
-        make_folder(tmp_path / "file" / "out")
+    with pytest.raises(ConfigError, match="choose another --out"):
+        made_folder(tmp_path / "file" / "out")
