@@ -30,11 +30,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, lru_cache, reduce
 from typing import NamedTuple
 
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.estimation.filters.kalman import asymmetric_huber_influence, asymmetric_huber_loss
+from companion.estimation.filters.kalman import asymmetric_huber_loss
 from companion.estimation.filters.target_filter import (
     Inflation,
     TargetFilter,
@@ -228,7 +228,7 @@ class NoiseMonitor:
 
     def after(self, u: float, k_long: float, k_short: float) -> NoiseMonitor:
         """Return the moments after one more whitened innovation `u`."""
-        influence = float(asymmetric_huber_influence(u, k_long, k_short))
+        influence = min(max(u, -k_short), k_long)  # without the cost of calling a kernel
         has_pair = self.previous is not None
         return NoiseMonitor(
             initial_inflation=self.initial_inflation,
@@ -277,6 +277,7 @@ class NoiseMonitor:
         return (1.0 + rho) / (1.0 - rho)
 
 
+@lru_cache(maxsize=256)
 def mean_band(dof: float, count: float) -> tuple[float, float]:
     """Return the 95 % band of the mean of `count` chi-square values of `dof` degrees of freedom.
 
@@ -324,6 +325,8 @@ class InnovationNoise:
     dof: float = 0.0
     """Degrees of freedom of the NIS in memory."""
     nis_sum: float = 0.0
+    found: Inflation | None = None
+    """Inflation over thermal noise at the best optimum of the window; None: not solved yet."""
 
     @classmethod
     def starting(cls, initial_inflation: float, rows: int = MODALITIES) -> InnovationNoise:
@@ -347,6 +350,7 @@ class InnovationNoise:
             (*monitors, *self.monitors[len(monitors) :]),  # a report without power has fewer rows
             NIS_FORGETTING * self.dof + dof,
             NIS_FORGETTING * self.nis_sum + report.nis,
+            self.found,
         )
 
     @property
@@ -369,14 +373,15 @@ class InnovationNoise:
         """Share of recent ranges on the linear branch of the loss, identified as reflections."""
         return 1.0 - self.monitors[0].bilateral_share
 
-    def inflation(self, found: Inflation | None) -> Inflation:
-        """Return the variance inflation of each modality; `found` is the window's, if solved."""
-        if found is None:
+    @cached_property
+    def inflation(self) -> Inflation:
+        """Variance inflation of each modality."""
+        if self.found is None:
             return tuple([monitor.inflation for monitor in self.monitors])
         return tuple(
             [
                 min(noise * monitor.repetition, MAX_INFLATION)
-                for noise, monitor in zip(found, self.monitors, strict=True)
+                for noise, monitor in zip(self.found, self.monitors, strict=True)
             ]
         )
 

@@ -29,9 +29,8 @@ import numpy as np
 
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
-from companion.estimation.measurement_model import MODALITIES
 from companion.estimation.stepwise import Steps, Stepwise, passes
-from companion.estimation.window.map_kernels import SEQUENCE, Row, hold_at_bounds, row_vector
+from companion.estimation.window.map_kernels import SEQUENCE, SIGMAS, VALUES, hold_at_bounds
 from companion.estimation.window.sandwich import (
     Scores,
     correlated_variability,
@@ -102,8 +101,12 @@ class MotionWatch:
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
         self._near_m = TESTED_R95_RATIO * localised_r95_m
+        self.fresh: deque[Vector] = deque(maxlen=MAX_COUNT)
+        """Measurements since the test was last due by time, in rows of `map_kernels` that have
+        their time in place of the sequence number."""
         self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
-        self._due_s = -math.inf
+        self.due_s = -math.inf
+        """Time of the next test, if enough measurements were made until then."""
         self._left = 0
         """Measurements until the next test."""
         self._was_near = False
@@ -117,6 +120,7 @@ class MotionWatch:
 
     def clear(self) -> None:
         """Forget everything."""
+        self.fresh.clear()
         self._rows.clear()
         self._was_near = False
         self._reset()
@@ -127,22 +131,27 @@ class MotionWatch:
         self.suspected: TargetMotion | None = None
         """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
-    def add(self, time_s: float, row: Row) -> None:
-        """Process a measurement; one of power alone shows no motion, but shadows."""
-        if self._is_enabled and not np.isnan(row[1][:MODALITIES]).all():
-            self._rows.append(row_vector(row, time_s))
-            self._left -= 1
+    def _take_fresh(self) -> None:
+        """Take in the fresh measurements; one of power alone shows no motion, but shadows."""
+        for row in self.fresh if self._is_enabled else ():
+            if not np.isnan(row[VALUES:SIGMAS]).all():
+                self._rows.append(row)
+                self._left -= 1
+        self.fresh.clear()
 
     def move(self, shift_en_m: Point, step: Vector, params: FilterParams) -> None:
         """Shift all measurements with a jump of the vehicle's navigation; see `hypotheses`."""
+        self._take_fresh()
         if self._rows:
             rows = shift_rows(np.array(self._rows), shift_en_m, step, params)
             self._rows = deque(rows, maxlen=MAX_COUNT)
 
     def is_due(self, now_s: float) -> bool:
         """Return True if the next test is due."""
-        is_time = not now_s < self._due_s <= now_s + EVERY_S
-        return bool(self._rows) and self._left <= 0 and is_time
+        if now_s < self.due_s <= now_s + EVERY_S:
+            return False
+        self._take_fresh()
+        return bool(self._rows) and self._left <= 0
 
     @Stepwise
     def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> Steps[None]:
@@ -150,7 +159,7 @@ class MotionWatch:
 
         A target whose position was known, and is lost, may have moved.
         """
-        self._due_s, self._left = now_s + EVERY_S, EVERY_COUNT
+        self.due_s, self._left = now_s + EVERY_S, EVERY_COUNT
         is_near = r95_m <= self._near_m
         self._was_near = self._was_near or is_near
         if self.suspected is None and not self._was_near:

@@ -23,11 +23,7 @@ from companion.domain import (
 )
 from companion.estimation.belief import Belief, belief_of, hypotheses_of
 from companion.estimation.filters.kalman import filter_of
-from companion.estimation.filters.target_filter import (
-    NO_INFLATION,
-    Inflation,
-    UpdateReport,
-)
+from companion.estimation.filters.target_filter import NO_INFLATION, Inflation, UpdateReport
 from companion.estimation.hypotheses import (
     Hypothesis,
     consolidated,
@@ -36,14 +32,15 @@ from companion.estimation.hypotheses import (
     shift_hypothesis,
     state_step,
 )
-from companion.estimation.innovations import InnovationNoise, TrackerHealth, update_hypotheses
+from companion.estimation.innovations import (
+    OPEN,
+    InnovationNoise,
+    TrackerHealth,
+    update_hypotheses,
+)
 from companion.estimation.integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
-from companion.estimation.screen import (
-    MeasurementScreen,
-    Objection,
-    RejectReason,
-)
+from companion.estimation.screen import MeasurementScreen, Objection, RejectReason
 from companion.estimation.stepwise import Steps, Stepwise, finish, passes, while_same
 from companion.estimation.target_estimate import (
     KeptEstimate,
@@ -51,7 +48,7 @@ from companion.estimation.target_estimate import (
     position_covariance_m2,
     r95_of_covariance_m,
 )
-from companion.estimation.target_motion import MotionWatch
+from companion.estimation.target_motion import EVERY_S, MotionWatch
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
@@ -151,7 +148,8 @@ class TargetTracker:
         """
         if self.emitter_id not in (None, measurement.emitter_id):
             return self.reject(RejectReason.OTHER_EMITTER)
-        measurement, sensor_enu_m = self._prepared(measurement, sensor_enu_m)
+        if measurement.power_dbm is not None or self.raised_m != 0.0:
+            measurement, sensor_enu_m = self._prepared(measurement, sensor_enu_m)
         reason = self._screen.admit(measurement, sensor_enu_m, now_s)
         if reason is not None or sensor_enu_m is None:
             return self.reject(reason or RejectReason.NO_POSITION)
@@ -171,16 +169,21 @@ class TargetTracker:
         self.own = own if self.own in (None, own) else self.own.or_worse(own)
         if own is not None and own.is_reported:
             self._best_own_m = min(self._best_own_m, own.horizontal_m)
+        at_s = measurement.measured_at_s
+        if self.accepted >= self._optimizer.due_at or not at_s < self.watch.due_s <= at_s + EVERY_S:
+            yield from self._check(at_s)
+        return report
+
+    def _check(self, at_s: float) -> Steps[None]:
+        """Check the estimate by its window, and the target for motion, as far as that is due."""
         if self.hypotheses and self.accepted >= self._optimizer.due_at:
             yield 0
             yield from while_same(self.optimize.steps(), lambda: self._moves)
-        at_s = measurement.measured_at_s
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
             look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
             yield from while_same(look, lambda: self._moves)
-        return report
 
     def _prepared(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None
@@ -194,35 +197,35 @@ class TargetTracker:
                 measurement = replace(measurement, power_dbm=None)
             else:
                 self._set_up(self.params.with_power)
-        if sensor_enu_m is not None and self.raised_m != 0.0:
+        if sensor_enu_m is not None:
             sensor_enu_m = (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
         return measurement, sensor_enu_m
 
     def _update(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> FusionReport:
         """Fuse what passed the screen, unless the gate rejects it."""
-        params, is_white = self._filter.params, self._noise.is_white
-        storage = self._optimizer.storage_params
+        params, at_s = self._filter.params, measurement.measured_at_s
+        storage, window = self._optimizer.storage_params, self._optimizer.window
         row = storage.kernel_row(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
         seen = row if params is storage else params.kernel_row(measurement, sensor_enu_m)
-        self.watch.add(measurement.measured_at_s, seen)
+        self.watch.fresh.append(seen)
         if not self.hypotheses:
-            self._optimizer.add(row, (), is_white=is_white, time_s=measurement.measured_at_s)
+            window.add(row, sensor_enu_m[:2], at_s)
             self._start(measurement, sensor_enu_m)
             self.integrity.begin(measurement)
             return FusionReport(None)
-        measured = self._noise.inflation(self._optimizer.noise)
+        integrity, measured = self.integrity, self._noise.inflation
         filter_inflation = measured if self.params.adapt_inflation else NO_INFLATION
-        inflations = filter_inflation, self.integrity.gate_inflation(measured)
-        is_proven = self.integrity.is_proven
+        gate_inflation = integrity.gate_inflation(measured) if integrity.is_lost else measured
+        inflations, is_proven = (filter_inflation, gate_inflation), integrity.is_proven
         bank = update_hypotheses(
             self.hypotheses, self._filter, measurement, sensor_enu_m, *inflations
         )
         gate = bank.gate if is_proven else bank.gate.unarmed()
-        update = self.integrity.update
-        if not bank.reports or update(measurement, bank.reports[0], gate, inflations[1]):
+        update = integrity.update
+        if not bank.reports or update(measurement, bank.reports[0], gate, gate_inflation):
             return self._restart(measurement, sensor_enu_m)
-        passed = gate.passed(measurement)
+        passed = measurement if gate == OPEN else gate.passed(measurement)
         if passed is not measurement:
             self.rejected[gate.reject_reason] += 1
             if passed is None:
@@ -233,9 +236,10 @@ class TargetTracker:
             if not bank.reports:
                 return self._restart(measurement, sensor_enu_m)
             row = storage.kernel_row(passed, sensor_enu_m)
-        at_s = measurement.measured_at_s
-        self._optimizer.add(row, self.hypotheses, is_white=is_white, time_s=at_s)
-        several = len(bank.hypotheses) > 1
+        mean, several = self.hypotheses[0].state.mean, len(bank.hypotheses) > 1
+        dropped = window.add(row, (float(mean[0]), float(mean[1])), at_s)
+        if len(dropped) and len(self.hypotheses) == 1 and self._noise.is_white:
+            self._optimizer.keep_evidence(dropped, mean)
         self.hypotheses = consolidated(bank.hypotheses) if several else bank.hypotheses
         self._noise = self._noise.after(bank.reports[0], params.thresholds)
         return FusionReport(None, bank.reports[0], agrees=gate.agrees)
@@ -265,7 +269,7 @@ class TargetTracker:
         """
         if not self.hypotheses:
             return
-        inflation = self._noise.inflation(self._optimizer.noise)
+        inflation = self._noise.inflation
         mean, rows = self.hypotheses[0].state.mean, self._optimizer.window.rows
         if self.antenna is not None and (yield from self.antenna.look.steps(rows, mean, inflation)):
             self._filter = filter_of(self.params.kind, self.antenna.params)
@@ -279,6 +283,7 @@ class TargetTracker:
             is_white=self._noise.is_white,
             fresh_starts=fresh_starts,
         )
+        self._noise = replace(self._noise, found=self._optimizer.noise)
         self.hypotheses = ranked(self.hypotheses, self.prior)
         params, is_auto = self._filter.params, self.antenna is not None
         sigmas = shared_sigmas(params, self.own, self._best_own_m, is_auto=is_auto)
@@ -427,8 +432,7 @@ class TargetTracker:
 
     @property
     def _filter_inflation(self) -> Inflation:
-        is_adapted = self.params.adapt_inflation
-        return self._noise.inflation(self._optimizer.noise) if is_adapted else NO_INFLATION
+        return self._noise.inflation if self.params.adapt_inflation else NO_INFLATION
 
     @property
     def latest_sigmas(self) -> tuple[float, float, float] | None:

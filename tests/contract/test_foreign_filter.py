@@ -22,6 +22,7 @@ from companion.estimation.filters.target_filter import (
 from companion.estimation.measurement_model import jacobian, predicted, variances
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.window.map_kernels import argument_columns
 
 TARGET = (12.0, -7.0)
 FOREIGN = cast(FilterKind, "foreign")
@@ -46,8 +47,8 @@ class InformationFilter:
         inflation: Inflation = NO_INFLATION,
     ) -> UpdateReport:
         p = self.params
-        pose, z, sigma = p.kernel_row(measurement, sensor_enu_m)
-        place = np.array(pose)
+        seen = p.kernel_row(measurement, sensor_enu_m)
+        place, z, sigma = [seen[columns] for columns in argument_columns(p.model)]
         y = z - predicted(state.mean, place, p.model)
         y[1] = math.remainder(y[1], math.tau)
         H = jacobian(state.mean, place, p.model)

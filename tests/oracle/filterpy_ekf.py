@@ -20,6 +20,7 @@ from companion.estimation.filters import kalman, target_filter
 from companion.estimation.filters.target_filter import FilterState, ModalityReport
 from companion.estimation.measurement_model import BEARING, MODALITIES
 from companion.estimation.number_or_array import wrapped
+from companion.estimation.window.map_kernels import argument_columns
 from companion.kernel import Vector
 
 
@@ -52,7 +53,8 @@ class FilterpyEkf:
     ) -> target_filter.UpdateReport:
         """Return the state after a measurement; see `TargetFilter.update`."""
         sensor = np.array(sensor_enu_m)
-        _, z, sigma = self.params.kernel_row(measurement, sensor_enu_m)
+        row = self.params.kernel_row(measurement, sensor_enu_m)
+        _, z, sigma = [row[columns] for columns in argument_columns(self.params.model)]
         rows = np.flatnonzero(~np.isnan(z)).tolist()
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         noise = self._variances(state, sensor, sigma, late_s)

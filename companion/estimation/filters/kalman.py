@@ -55,6 +55,7 @@ from companion.estimation.filters.target_filter import (
 )
 from companion.estimation.measurement_model import RangingModel, linearised
 from companion.estimation.number_or_array import wrapped
+from companion.estimation.window.map_kernels import argument_columns
 from companion.kernel import IS_COMPILED, Matrix, Vector, frozen, kernel
 
 DEFINITE_MARGIN = 1e-14
@@ -303,7 +304,8 @@ class RecursiveFilter:
         self._walk = params.process_noise_m_per_sqrt_s
         self.settings = (params.thresholds, params.bounds, params.model, *options)
         """Last arguments of the kernel, which are the same for every measurement."""
-        self._latest: tuple[object, object, tuple[Vector, ...]] = (None, None, ())
+        self._columns = argument_columns(params.model)
+        self._latest: tuple[object, object, list[Vector]] = (None, None, [])
         """Latest measurement, sensor position and kernel arguments, reused for all hypotheses."""
 
     def predict(self, state: FilterState, time_s: float) -> FilterState:
@@ -333,8 +335,8 @@ class RecursiveFilter:
         """
         late_s = max(state.time_s - measurement.measured_at_s, 0.0)
         if self._latest[0] is not measurement or self._latest[1] is not sensor_enu_m:
-            pose, z, sigma = self.params.kernel_row(measurement, sensor_enu_m)
-            self._latest = measurement, sensor_enu_m, (np.array(pose), z, sigma)
+            row = self.params.kernel_row(measurement, sensor_enu_m)
+            self._latest = measurement, sensor_enu_m, [row[columns] for columns in self._columns]
         mean, P, rows, is_sane = self.kernel(
             state.mean,
             state.covariance,

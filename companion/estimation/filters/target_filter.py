@@ -36,8 +36,6 @@ from companion.estimation.measurement_model import (
 )
 from companion.kernel import Matrix, Vector, frozen
 
-Pose = tuple[float, ...]
-"""Sensor position, followed by the two axes of an antenna array if any: 3 or 9 numbers, ENU."""
 Inflation = tuple[float, ...]
 """Factors on the variances of the modalities."""
 NO_INFLATION: Inflation = (1.0,) * (MODALITIES + 1)
@@ -365,28 +363,28 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         all_rows = np.array([ranges, (angle, angle), (angle, angle), ranges[::-1]])
         return all_rows[: rows_of(self.model)]
 
-    def kernel_row(
-        self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu
-    ) -> tuple[Pose, Vector, Vector]:
-        """Return a measurement for the kernels: the sensor's pose, values and sigmas, each (m,)."""
+    def kernel_row(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> Vector:
+        """Return a measurement as a row for the kernels, (10 to 19,), see `map_kernels`.
+
+        Its time is in place of the sequence number.
+        """
         m = measurement
-        pose: Pose = sensor_enu_m
+        axes: tuple[float, ...] = ()
         has_elevation = self.use_elevation and not m.is_array_angle
         angles = (m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
-            angles, pose = (None, None), (*sensor_enu_m, *NO_AXES)
+            angles, axes = (None, None), NO_AXES
             if m.array is None and m.bearing_enu_rad is not None and self.model.antenna == PLANAR:
                 # a north-referenced bearing is treated as that of a level array
-                angles = (-m.bearing_enu_rad, None)
-                pose = (*sensor_enu_m, *LEVEL[0], *LEVEL[1])
+                angles, axes = (-m.bearing_enu_rad, None), (*LEVEL[0], *LEVEL[1])
             elif m.array is not None:
                 angles = (m.array.first, m.array.second)
-                pose = (*sensor_enu_m, *m.array.first_axis_enu, *m.array.second_axis_enu)
-        values, sigmas = [m.range_m, *angles], [*self.effective_sigmas(m)]
-        if self.model.power_index != ABSENT:
-            values.append(m.power_dbm)
-            sigmas.append(POWER_TOTAL_SIGMA_DB)
-        return pose, np.array([math.nan if v is None else v for v in values]), np.array(sigmas)
+                axes = (*m.array.first_axis_enu, *m.array.second_axis_enu)
+        has_power = self.model.power_index != ABSENT
+        power = (m.power_dbm, POWER_TOTAL_SIGMA_DB, 1.0) if has_power else ()
+        sigmas = self.effective_sigmas(m)
+        numbers = (*sensor_enu_m, m.range_m, *angles, *sigmas, m.measured_at_s, *axes, *power)
+        return np.array(numbers, dtype=float)  # None becomes NaN
 
     def effective_sigmas(self, measurement: RangingMeasurement) -> tuple[float, float, float]:
         """Return the standard deviations of range, bearing and elevation that are used.

@@ -25,13 +25,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.estimation.filters.target_filter import Pose
 from companion.estimation.measurement_model import (
     AZIMUTH,
     BEARING,
     COSINES,
     ELEVATION,
-    FIRST_AXIS,
     MODALITIES,
     POWER,
     RANGE,
@@ -68,17 +66,18 @@ DAMPING_MAX = 1e8
 """Damping at which no step lowers the cost: steps are then as good as zero."""
 MIN_CURVATURE_RATIO = 1e-3
 """Lower limit of the damping scale of one horizontal axis, as a share of the other one's."""
-Row = tuple[Pose, Vector, Vector]
-"""Pose of a measurement, its values (m,), NaN where not measured, and their sigmas (m,)."""
 
 
-def row_vector(row: Row, last: float) -> Vector:
-    """Return a row, (10 to 19,), with `last` in place of the sequence number."""
-    pose, z, sigma = row
-    powers = (z[POWER], sigma[POWER], 1.0) if z.size > POWER else ()
-    return np.array(
-        [*pose[:FIRST_AXIS], *z[:POWER], *sigma[:POWER], last, *pose[FIRST_AXIS:], *powers]
-    )
+def argument_columns(model: RangingModel) -> tuple[list[int], list[int], list[int]]:
+    """Return the columns of the pose, the values and their sigmas, which a filter's kernel takes.
+
+    The pose is the sensor's position, followed by the axes of an antenna array: 3 or 9 columns.
+    """
+    place, values, sigmas = [*range(VALUES)], [*range(VALUES, SIGMAS)], [*range(SIGMAS, SEQUENCE)]
+    axes = [] if model.antenna == AZIMUTH else [*range(AXES, ARRAY_COLUMNS)]
+    if rows_of(model) > POWER:
+        return place + axes, [*values, POWER_VALUE], [*sigmas, POWER_SIGMA]
+    return place + axes, values, sigmas
 
 
 def columns_of(model: RangingModel) -> int:

@@ -33,10 +33,9 @@ from companion.estimation.window.map_kernels import (
     SEQUENCE,
     VALUES,
     OlderEvidence,
-    Row,
+    argument_columns,
     columns_of,
     has_any,
-    row_vector,
 )
 from companion.estimation.window.rivals import (
     Observability,
@@ -94,13 +93,14 @@ class MeasurementWindow:
         latest_s = float(known.max()) if known.size else 0.0
         return np.asarray(np.nan_to_num(times_s, nan=latest_s), dtype=np.float64)
 
-    def add(self, row: Row, target_enu_m: Point, time_s: float = math.nan) -> Matrix:
+    def add(self, row: Vector, target_enu_m: Point, time_s: float = math.nan) -> Matrix:
         """Add a measurement; return the rows evicted from a full window by thinning, (m, 10)."""
         dropped = self.rows[:0]
         if len(self.rows) == self._size:
             is_kept = kept_by_thinning(self.rows, int(KEPT_SHARE * self._size), target_enu_m)
             dropped, self.rows = self.rows[~is_kept], self.rows[is_kept]
-        self.rows = np.concatenate([self.rows, row_vector(row, len(self._times_s))[None]])
+        self.rows = np.concatenate([self.rows, row[None]])
+        self.rows[-1, SEQUENCE] = len(self._times_s)
         self._times_s.append(time_s)
         return dropped
 
@@ -200,7 +200,7 @@ class WindowOptimizer:
         identified."""
         self._params = params
         self.map = WindowMap(filter_params)
-        self.latest: deque[Row] = deque(maxlen=CONTRADICTION_COUNT)
+        self.latest: deque[Vector] = deque(maxlen=CONTRADICTION_COUNT)
         """Latest measurements, also those that did not enter the window."""
         self._turn = 0
         self._fresh_at = MIN_MEASUREMENTS
@@ -244,7 +244,7 @@ class WindowOptimizer:
         self._begin(0)
         self._fresh_at = 0
         for row in self.latest:
-            self.window.add(row, (row[0][0], row[0][1]))
+            self.window.add(row, (float(row[0]), float(row[1])))
 
     def switch_antenna(self, filter_params: FilterParams) -> None:
         """Reinterpret the measurements as those of another antenna."""
@@ -252,29 +252,16 @@ class WindowOptimizer:
         self.map = WindowMap(filter_params)
         self._older = OlderEvidence.none(self.map.size)
 
-    def add(
-        self,
-        row: Row,
-        hypotheses: Sequence[Hypothesis],
-        *,
-        is_white: bool,
-        time_s: float = math.nan,
-    ) -> None:
-        """Add a measurement; an evicted one becomes older evidence.
+    def keep_evidence(self, dropped: Matrix, mean: Vector) -> None:
+        """Keep rows that left the window, (m, 10), as older evidence, expanded about `mean` (k,).
 
-        With several hypotheses there is no position to expand it about, and where residuals are
-        correlated its neighbours carry the same information: then it is dropped.
+        Not with several hypotheses, which have no common position to expand it about, nor where
+        residuals are correlated: then the neighbours of these rows carry the same information.
         """
-        place: Point = (row[0][0], row[0][1])
-        if hypotheses:
-            mean = hypotheses[0].state.mean
-            place = (float(mean[0]), float(mean[1]))
-        dropped = self.window.add(row, place, time_s)
-        if len(dropped) and len(hypotheses) == 1 and is_white:
-            mean, params = hypotheses[0].state.mean, self._filter_params
-            if not self._is_antenna_configured:
-                dropped = rows_as(dropped, params.antenna.kind)
-            self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
+        params = self._filter_params
+        if not self._is_antenna_configured:
+            dropped = rows_as(dropped, params.antenna.kind)
+        self._older = self._older.joined(dropped, mean, params.thresholds, params.model)
 
     @Stepwise
     def optimize(
@@ -355,14 +342,15 @@ class WindowOptimizer:
         """
         params = self._filter_params
         index, missing = params.model.power_index, {RANGE, BEARING}
+        _, values, noise = argument_columns(params.model)
         sigmas = {RANGE: math.inf, BEARING: math.radians(params.bearing_sigma_deg)}
         if index >= 0:
             missing.add(POWER)
             sigmas[POWER] = math.inf
-        for _, values, noise in reversed(self.latest):
-            for row in [row for row in missing if not math.isnan(values[row])]:
-                sigmas[row] = float(noise[row])
-                missing.discard(row)
+        for row in reversed(self.latest):
+            for kind in [kind for kind in missing if not math.isnan(row[values[kind]])]:
+                sigmas[kind] = float(row[noise[kind]])
+                missing.discard(kind)
             if not missing:
                 break
         inflated = {row: math.sqrt(inflation[row]) * sigma for row, sigma in sigmas.items()}

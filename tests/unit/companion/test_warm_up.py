@@ -12,8 +12,10 @@ import pytest
 from companion import warm_up as module
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.measurement_model import BEARING
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.window.map_kernels import VALUES
 from companion.estimation.window.window_map import WindowParams
 from companion.planning.crossing import LatchedCrossing, LatchedCrossingParams
 from companion.planning.planner import Plan, PlanRequest
@@ -60,8 +62,8 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     fuse = TargetTracker.fuse
 
     def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
-        _, values, _ = params.filter.kernel_row(measurement, (0.0, 0.0, 20.0))
-        kinds[measurement.range_m is not None, not math.isnan(values[1])] += 1
+        row = params.filter.kernel_row(measurement, (0.0, 0.0, 20.0))
+        kinds[measurement.range_m is not None, not math.isnan(row[VALUES + BEARING])] += 1
         report = fuse(self, measurement, *place_and_time)
         assert report.reject_reason is None
         return report

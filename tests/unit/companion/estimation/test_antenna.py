@@ -15,6 +15,7 @@ from companion.estimation.measurement_model import jacobian, variances
 from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.window.map_kernels import SIGMAS, VALUES
 
 PLACE = (0.0, 0.0, 20.0)
 LEVEL = Attitude(0.0, (0.0, 0.0))
@@ -145,8 +146,8 @@ def test_absurd_angles_of_an_array_are_refused(
 
 def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> None:
     told = replace(PRINTED, is_array_angle=True)
-    _, values, _ = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), PLACE)
-    assert np.isnan(values).tolist() == [False, True, True]
+    row = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), PLACE)
+    assert np.isnan(row[VALUES:SIGMAS]).tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize("range_m", [25.0, None])

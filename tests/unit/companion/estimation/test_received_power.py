@@ -20,7 +20,7 @@ from companion.estimation.measurement_model import POWER, jacobian, predicted
 from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
-from companion.estimation.window.map_kernels import row_vector
+from companion.estimation.window.map_kernels import COLUMNS, POWER_COLUMNS
 from companion.estimation.window.shadows import shadow_weights
 
 PARAMS = FilterParams(power_at_1m_dbm=-40.0, target_height_sigma_m=2.0)
@@ -69,9 +69,7 @@ def test_a_weak_signal_is_bounded_evidence_and_a_strong_one_is_not() -> None:
 
 def test_a_hundred_looks_from_one_place_weigh_little_more_than_one() -> None:
     def rows(places: list[PositionEnu]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        return np.array(
-            [row_vector(PARAMS.kernel_row(heard(-70.0), p), i) for i, p in enumerate(places)]
-        )
+        return np.array([PARAMS.kernel_row(heard(-70.0), place) for place in places])
 
     apart = [(200.0 * i, 0.0, HIGH_M) for i in range(5)]
     hovering = [(-500.0, 0.0, HIGH_M)] * 100
@@ -180,5 +178,7 @@ def test_a_power_that_repeats_over_a_hundred_metres_is_frozen() -> None:
 
 def test_a_model_without_power_has_no_row_of_it() -> None:
     plain = msgspec.structs.replace(PARAMS, power_at_1m_dbm=None)
-    assert len(plain.thresholds) == len(plain.kernel_row(heard(-70.0), (0.0, 0.0, 1.0))[1]) == 3
+    assert len(plain.thresholds) == 3
+    lengths = [len(p.kernel_row(heard(-70.0), (0.0, 0.0, 1.0))) for p in (plain, PARAMS)]
+    assert lengths == [COLUMNS, COLUMNS + POWER_COLUMNS]
     assert len(plain.prior[0]) + 2 == len(PARAMS.prior[0])

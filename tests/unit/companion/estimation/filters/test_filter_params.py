@@ -12,6 +12,7 @@ import pytest
 from companion.domain import MOST, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import ABSENT
+from companion.estimation.window.map_kernels import SEQUENCE, SIGMAS, VALUES
 
 HERE = (0.0, 0.0, 20.0)
 EVERYTHING = RangingMeasurement(
@@ -118,36 +119,37 @@ def test_no_threshold_is_an_infinite_one() -> None:
 
 
 def test_a_measurement_is_values_and_standard_deviations() -> None:
-    _, z, sigma = SHARP.kernel_row(EVERYTHING, HERE)
-    assert z.tolist() == [50.0, 0.4, -0.3]
-    assert sigma.tolist() == [0.7, 0.02, 0.05]
+    row = SHARP.kernel_row(EVERYTHING, HERE)
+    assert row[VALUES:SIGMAS].tolist() == [50.0, 0.4, -0.3]
+    assert row[SIGMAS:SEQUENCE].tolist() == [0.7, 0.02, 0.05]
 
 
 def test_what_is_not_reported_or_not_trusted_is_as_configured() -> None:
     own = [1.5, math.radians(2.0), math.radians(5.0)]
     deaf = FilterParams(use_reported_sigma=False)
-    assert deaf.kernel_row(EVERYTHING, HERE)[2].tolist() == own
+    assert deaf.kernel_row(EVERYTHING, HERE)[SIGMAS:SEQUENCE].tolist() == own
     silent = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=50.0)
-    _, z, sigma = FilterParams().kernel_row(silent, HERE)
-    assert sigma.tolist() == own
-    assert z[0] == 50.0
-    assert np.isnan(z[1:]).all()
+    row = FilterParams().kernel_row(silent, HERE)
+    assert row[SIGMAS:SEQUENCE].tolist() == own
+    assert row[VALUES] == 50.0
+    assert np.isnan(row[VALUES + 1 : SIGMAS]).all()
 
 
 def test_no_range_is_better_than_its_steps() -> None:
     cell = msgspec.structs.replace(SHARP, range_step_m=78.0, place_length_m=4.0)
     least_m = 78.0 / math.sqrt(12.0)
-    assert cell.kernel_row(EVERYTHING, HERE)[2].tolist() == [least_m, 0.02, 0.05]
+    row = cell.kernel_row(EVERYTHING, HERE)
+    assert row[SIGMAS:SEQUENCE].tolist() == [least_m, 0.02, 0.05]
     assert cell.place_sigmas == pytest.approx((least_m, 0.0))
     assert cell.range_length_m == 39.0
     worse = FilterParams(range_step_m=78.0, range_sigma_m=30.0, use_reported_sigma=False)
-    assert worse.kernel_row(EVERYTHING, HERE)[2][0] == 30.0
+    assert worse.kernel_row(EVERYTHING, HERE)[SIGMAS] == 30.0
 
 
 def test_an_elevation_may_be_left_out() -> None:
-    _, z, _ = FilterParams(use_elevation=False).kernel_row(EVERYTHING, HERE)
-    assert np.isnan(z[2])
-    assert z[:2].tolist() == [50.0, 0.4]
+    row = FilterParams(use_elevation=False).kernel_row(EVERYTHING, HERE)
+    assert np.isnan(row[VALUES + 2])
+    assert row[VALUES : VALUES + 2].tolist() == [50.0, 0.4]
 
 
 @pytest.mark.parametrize(

@@ -69,8 +69,7 @@ def watched(
     """What is seen while the rows come in, look by look."""
     seen = []
     for row in rows:
-        place = (float(row[0]), float(row[1]), float(row[2]))
-        watch.add(float(row[9]), (place, row[3:6], row[6:9]))
+        watch.fresh.append(row)
         if watch.is_due(float(row[9])):
             watch.look(MAP, truth() if mean is None else mean, r95_m, float(row[9]))
             seen.append(watch.motion)
@@ -187,14 +186,14 @@ def test_it_forgets() -> None:
 
 
 def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -> None:
-    watch, row = MotionWatch(PARAMS, 2.0), ((0.0, 0.0, 0.0), np.ones(3), np.ones(3))
-    watch.add(0.0, row)
+    watch, row = MotionWatch(PARAMS, 2.0), np.array([*(0.0,) * 3, *(1.0,) * 6, 0.0])
+    watch.fresh.append(row)
     assert watch.is_due(100.0)
     watch.look(MAP, truth(), 2.0, 100.0)
     assert not watch.is_due(100.0 + EVERY_S)
     for _ in range(IDLE_EVERY_COUNT):
         assert not watch.is_due(100.0 + EVERY_S)
-        watch.add(0.0, row)
+        watch.fresh.append(row)
     assert not watch.is_due(100.0 + 0.9 * EVERY_S)
     assert watch.is_due(100.0 + EVERY_S)
     assert watch.is_due(3.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def _after(reports: list[UpdateReport]) -> InnovationNoise:
 
 def test_at_first_the_configured_inflation_is_believed() -> None:
     noise = InnovationNoise.starting(4.0)
-    assert noise.inflation(None) == pytest.approx((4.0, 4.0, 4.0))
+    assert noise.inflation == pytest.approx((4.0, 4.0, 4.0))
     assert noise.is_white
     assert noise.nlos_share == 0.0
     assert noise.nis is None
@@ -46,14 +47,14 @@ def test_at_first_the_configured_inflation_is_believed() -> None:
 
 def test_a_modality_that_a_report_lacks_keeps_its_noise() -> None:
     noise = InnovationNoise.starting(4.0, rows=4).after(_report(1.0), THRESHOLDS)
-    assert len(noise.inflation((1.0, 2.0, 2.0, 3.0))) == 4
+    assert len(replace(noise, found=(1.0, 2.0, 2.0, 3.0)).inflation) == 4
     assert noise.monitors[3] == InnovationNoise.starting(4.0).monitors[0]
 
 
 def test_every_modality_learns_from_its_own_innovations() -> None:
     rng = np.random.default_rng(1)
     noise = _after([_report(float(u), 3.0 * float(v)) for u, v in rng.normal(size=(600, 2))])
-    ranges, bearings, elevations = noise.inflation(None)
+    ranges, bearings, elevations = noise.inflation
     assert 1.0 <= ranges < 1.3
     assert bearings > 1.5
     assert elevations == pytest.approx(4.0)  # never measured
@@ -75,18 +76,18 @@ def test_what_the_window_found_is_only_repeated() -> None:
     rng = np.random.default_rng(3)
     white = _after([_report(float(u)) for u in rng.normal(size=200)])
     assert white.is_white
-    assert white.inflation((1.7, 1.0, 2.5)) == (1.7, 1.0, 2.5)
+    assert replace(white, found=(1.7, 1.0, 2.5)).inflation == (1.7, 1.0, 2.5)
     slow = _after([_report(math.sin(i / 20.0)) for i in range(300)])
-    found = slow.inflation((1.7, 1.0, 2.5))
+    found = replace(slow, found=(1.7, 1.0, 2.5)).inflation
     assert found[0] > 10.0 * 1.7
     assert found[1:] == (1.0, 2.5)
-    assert slow.inflation((300.0, 1.0, 1.0))[0] == MAX_INFLATION
+    assert replace(slow, found=(300.0, 1.0, 1.0)).inflation[0] == MAX_INFLATION
 
 
 def test_innovations_of_a_vague_state_say_nothing_of_noise() -> None:
     vague = _report(9.0, 9.0, prior_share=1.1 * MAX_PRIOR_SHARE)
     noise = _after([vague] * 50)
-    assert noise.inflation(None) == pytest.approx((4.0, 4.0, 4.0))
+    assert noise.inflation == pytest.approx((4.0, 4.0, 4.0))
     assert noise.nlos_share == 0.0
     mixed = _after([_report(1.0), vague] * 50)
     assert mixed.is_white  # neighbours of neighbours do not count as neighbours

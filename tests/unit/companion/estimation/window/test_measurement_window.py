@@ -12,12 +12,12 @@ from companion.estimation.window.map_kernels import COLUMNS, SEQUENCE
 from companion.estimation.window.optimizer import KEPT_SHARE, MeasurementWindow, kept_by_thinning
 from companion.kernel import Matrix
 
-SIGMA = np.array([1.0, 0.1, 0.2])
+SIGMA = (1.0, 0.1, 0.2)
 ORIGIN = (0.0, 0.0)
 
 
 def _add(window: MeasurementWindow, place: PositionEnu, range_m: float) -> Matrix:
-    return window.add((place, np.array([range_m, math.nan, math.nan]), SIGMA), ORIGIN)
+    return window.add(np.array([*place, range_m, math.nan, math.nan, *SIGMA, 0.0]), ORIGIN)
 
 
 def _around(window: MeasurementWindow, count: int, radius_m: float = 5.0) -> None:
@@ -30,9 +30,9 @@ def test_rows_are_laid_out_as_the_kernels_take_them() -> None:
     window = MeasurementWindow(32)
     assert len(window.rows) == 0
     assert window.rows.shape == (0, COLUMNS)
-    z = np.array([50.0, math.nan, -0.3])
+    z = (50.0, math.nan, -0.3)
     for step in range(3):
-        assert len(window.add(((1.0, 2.0, float(step)), z, SIGMA), ORIGIN)) == 0
+        assert len(window.add(np.array([1.0, 2.0, step, *z, *SIGMA, 0.0]), ORIGIN)) == 0
     assert len(window.rows) == 3
     expected = [1.0, 2.0, 1.0, 50.0, math.nan, -0.3, 1.0, 0.1, 0.2, 1.0]
     np.testing.assert_array_equal(window.rows[1], expected)
@@ -100,7 +100,7 @@ def test_it_knows_whether_it_holds_bearings() -> None:
     assert not window.has_bearings
     _add(window, (1.0, 0.0, 0.0), 5.0)
     assert not window.has_bearings
-    window.add(((1.0, 0.0, 0.0), np.array([math.nan, 0.3, math.nan]), SIGMA), ORIGIN)
+    window.add(np.array([1.0, 0.0, 0.0, math.nan, 0.3, math.nan, *SIGMA, 0.0]), ORIGIN)
     assert window.has_bearings
 
 

@@ -74,8 +74,7 @@ def _remembered(rows: Matrix, p: FilterParams, size: int) -> tuple[Matrix, Older
     window, solver = MeasurementWindow(size), WindowMap(p)
     older, mean = OlderEvidence.none(4), START
     for row in rows:
-        place = (float(row[0]), float(row[1]), float(row[2]))
-        dropped = window.add((place, row[3:6], row[6:9]), (float(mean[0]), float(mean[1])))
+        dropped = window.add(row, (float(mean[0]), float(mean[1])))
         if len(dropped):
             solution = solver.solve(window.rows, mean, older)
             assert solution is not None

@@ -57,8 +57,10 @@ def _fed(
 ) -> WindowOptimizer:
     optimizer = WindowOptimizer(p, WindowParams(size=size))
     for row in rows:
-        place = (float(row[0]), float(row[1]), float(row[2]))
-        optimizer.add((place, row[3:6], row[6:9]), hypotheses, is_white=is_white)
+        mean = hypotheses[0].state.mean
+        dropped = optimizer.window.add(row, (float(mean[0]), float(mean[1])))
+        if len(dropped) and len(hypotheses) == 1 and is_white:
+            optimizer.keep_evidence(dropped, mean)
     return optimizer
 
 
@@ -237,9 +239,7 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
     kept = distrusted.window.rows.tolist()
-    distrusted.latest = deque(
-        ((row[0], row[1], row[2]), np.array(row[3:6]), np.array(row[6:9])) for row in kept
-    )
+    distrusted.latest = deque(map(np.array, kept))
     distrusted.begin_with_latest()
     (best,) = _optimized(misled, wrong)
     (alone,) = _optimized(distrusted, wrong)
