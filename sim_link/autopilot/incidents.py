@@ -9,7 +9,7 @@ duration means nothing.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 
 import msgspec
 
@@ -44,6 +44,12 @@ class FaultRecord(Params, frozen=True, tag_field="kind"):
     def is_active(self, time_s: float) -> bool:
         """Return True if it acts at a time since the schedule began."""
         return self.start_s <= time_s < self.end_s
+
+
+def kinds_of(base: type[FaultRecord]) -> tuple[type[FaultRecord], ...]:
+    """Return the faults with a name in a file that are a kind of `base`, as they are defined."""
+    own = () if base.__struct_config__.tag == base.__name__ else (base,)
+    return own + tuple(kind for each in base.__subclasses__() for kind in kinds_of(each))
 
 
 class VehicleFault(FaultRecord, frozen=True):
@@ -231,28 +237,10 @@ class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
         return (self.east_m, self.north_m, self.up_m)
 
 
-Incident = (
-    PilotMode
-    | Failsafe
-    | PilotSticks
-    | RcLoss
-    | GpsLoss
-    | EkfPoor
-    | FalseLanding
-    | EkfJump
-    | OriginShift
-    | BatteryCharge
-    | WindChange
-    | VehicleReboot
-    | ClockRate
-    | ClockSlip
-    | AutopilotStall
-    | StationFence
-    | StationParameter
-    | StationRates
-    | StationHome
-    | OtherComponent
-)
+if TYPE_CHECKING:
+    Incident: TypeAlias = IncidentRecord
+else:
+    Incident = Union[kinds_of(IncidentRecord)]  # noqa: UP007  not written out
 
 KEYS_OF_0_1 = {"time_s": "start_s", "for_s": "duration_s"}
 KINDS_OF_0_1 = {"reboot": "vehicle_reboot"}

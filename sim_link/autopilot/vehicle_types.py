@@ -11,7 +11,7 @@ Source: MAVLink minimal, MAV_TYPE; ArduPilot `mode.h` of Copter, Plane, Rover, S
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from companion.mav.dialect import mavlink
 
@@ -34,24 +34,19 @@ VehicleTypeName = Literal[
     "tracker",
     "generic",
 ]
+OTHER_NAMES = {
+    "plane": "FIXED_WING",
+    "quadplane": "VTOL_RESERVED2",  # VTOL_FIXEDROTOR in later dialects
+    "tiltrotor": "VTOL_TILTROTOR",
+    "tailsitter": "VTOL_QUADROTOR",
+    "rover": "GROUND_ROVER",
+    "boat": "SURFACE_BOAT",
+    "sub": "SUBMARINE",
+    "tracker": "ANTENNA_TRACKER",
+}
 MAV_TYPE: Mapping[VehicleTypeName, int] = {
-    "quadrotor": mavlink.MAV_TYPE_QUADROTOR,
-    "hexarotor": mavlink.MAV_TYPE_HEXAROTOR,
-    "octorotor": mavlink.MAV_TYPE_OCTOROTOR,
-    "tricopter": mavlink.MAV_TYPE_TRICOPTER,
-    "dodecarotor": mavlink.MAV_TYPE_DODECAROTOR,
-    "decarotor": mavlink.MAV_TYPE_DECAROTOR,
-    "coaxial": mavlink.MAV_TYPE_COAXIAL,
-    "helicopter": mavlink.MAV_TYPE_HELICOPTER,
-    "plane": mavlink.MAV_TYPE_FIXED_WING,
-    "quadplane": mavlink.MAV_TYPE_VTOL_RESERVED2,  # VTOL_FIXEDROTOR in later dialects
-    "tiltrotor": mavlink.MAV_TYPE_VTOL_TILTROTOR,
-    "tailsitter": mavlink.MAV_TYPE_VTOL_QUADROTOR,
-    "rover": mavlink.MAV_TYPE_GROUND_ROVER,
-    "boat": mavlink.MAV_TYPE_SURFACE_BOAT,
-    "sub": mavlink.MAV_TYPE_SUBMARINE,
-    "tracker": mavlink.MAV_TYPE_ANTENNA_TRACKER,
-    "generic": mavlink.MAV_TYPE_GENERIC,
+    name: getattr(mavlink, f"MAV_TYPE_{OTHER_NAMES.get(name, name.upper())}")
+    for name in get_args(VehicleTypeName)
 }
 
 

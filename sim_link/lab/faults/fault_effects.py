@@ -8,7 +8,7 @@ Every effect owns its generator, so that adding one fault never changes what ano
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -24,6 +24,8 @@ from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.observer import Delivery
 
 F = TypeVar("F", bound=FaultRecord)
+G = TypeVar("G", bound=faults.ContentFault)
+T = TypeVar("T")
 NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 """Bytes that begin no frame."""
 
@@ -57,14 +59,53 @@ class FaultEffect(Generic[F]):
     def _happens(self, share: float) -> bool:
         return float(self._rng.random()) < share
 
+    def _any_of(self, choices: Sequence[T]) -> T:
+        return choices[int(self._rng.integers(len(choices)))]
 
-class _Loss(FaultEffect[faults.LinkLoss]):
+
+class LinkEffect(FaultEffect[faults.LinkFault]):
+    """A fault of the link that treats each delivery by itself."""
+
+    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
+        """Return what becomes of each; copies come after all the deliveries themselves."""
+        kept = deliveries if isinstance(self.fault, faults.LinkDuplicates) else []
+        return kept + super().apply(deliveries, now_s)
+
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [] if self._happens(self.fault.share) else [(due_s, data)]
+        match self.fault:
+            case faults.LinkLoss(share=share):
+                return [] if self._happens(share) else [(due_s, data)]
+            case faults.LinkDelay(delay_s=delay_s):
+                return [(due_s + delay_s, data)]
+            case faults.LinkHold():
+                return [(max(due_s, self.end_s), data)]
+            case faults.LinkJitter(jitter_s=jitter_s, share=share):
+                hit, late = self._rng.random(2).tolist()
+                return [(due_s + (late * jitter_s if hit < share else 0.0), data)]
+            case faults.LinkDuplicates(copies=copies, spread_s=spread_s, share=share):
+                count = copies if self._happens(share) else 0
+                late_s = self._rng.uniform(0.0, spread_s, count).tolist()
+                return [(due_s + each_s, data) for each_s in late_s]
+            case faults.LinkBitFlips() | faults.LinkTruncation() | faults.LinkGarbage() as fault:
+                damaged = self._damage(fault, data) if self._happens(fault.share) else data
+                return [(due_s, damaged)]
+        return []
 
-
-class _Blackout(FaultEffect[faults.LinkBlackout]):
-    pass
+    def _damage(
+        self, fault: faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage, data: bytes
+    ) -> bytes:
+        match fault:
+            case faults.LinkBitFlips(bits=bits):
+                flipped = bytearray(data)
+                for place in self._rng.integers(0, 8 * len(data), bits).tolist():
+                    flipped[place // 8] ^= 1 << place % 8
+                return bytes(flipped)
+            case faults.LinkTruncation():
+                return data[: int(self._rng.integers(1, max(2, len(data))))]
+            case faults.LinkGarbage(most_bytes=most):
+                count = int(self._rng.integers(1, most + 1))
+                junk = self._rng.integers(0, len(NO_MAGIC), count).tolist()
+                return bytes(NO_MAGIC[each] for each in junk) + data
 
 
 class _Bursts(FaultEffect[faults.LinkBursts]):
@@ -84,49 +125,6 @@ class _Bursts(FaultEffect[faults.LinkBursts]):
         return [each for each in deliveries if not self._happens(share)]
 
 
-class _Delay(FaultEffect[faults.LinkDelay]):
-    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + self.fault.delay_s, data)]
-
-
-class _Jitter(FaultEffect[faults.LinkJitter]):
-    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        hit, late = self._rng.random(2).tolist()
-        late_s = float(late) * self.fault.jitter_s if hit < self.fault.share else 0.0
-        return [(due_s + late_s, data)]
-
-
-class _Duplicates(FaultEffect[faults.LinkDuplicates]):
-    def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """Return all of them, and then the copies."""
-        return deliveries + super().apply(deliveries, now_s)
-
-    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        if not self._happens(self.fault.share):
-            return []
-        late = self._rng.uniform(0.0, self.fault.spread_s, self.fault.copies)
-        return [(due_s + each, data) for each in late.tolist()]
-
-
-class _Damage(FaultEffect[faults.LinkBitFlips | faults.LinkTruncation | faults.LinkGarbage]):
-    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s, self._damage(data) if self._happens(self.fault.share) else data)]
-
-    def _damage(self, data: bytes) -> bytes:
-        match self.fault:
-            case faults.LinkBitFlips(bits=bits):
-                flipped = bytearray(data)
-                for place in self._rng.integers(0, 8 * len(data), bits).tolist():
-                    flipped[place // 8] ^= 1 << place % 8
-                return bytes(flipped)
-            case faults.LinkTruncation():
-                return data[: int(self._rng.integers(1, max(2, len(data))))]
-            case faults.LinkGarbage(most_bytes=most):
-                count = int(self._rng.integers(1, most + 1))
-                junk = self._rng.integers(0, len(NO_MAGIC), count).tolist()
-                return bytes(NO_MAGIC[each] for each in junk) + data
-
-
 class _RateCap(FaultEffect[faults.LinkRateCap]):
     _free_s = 0.0
 
@@ -143,23 +141,18 @@ class _RateCap(FaultEffect[faults.LinkRateCap]):
         return through
 
 
-class _Hold(FaultEffect[faults.LinkHold]):
-    def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(max(due_s, self.end_s), data)]
-
-
 LINK_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
-    faults.LinkBlackout: _Blackout,
-    faults.LinkLoss: _Loss,
+    faults.LinkBlackout: LinkEffect,
+    faults.LinkLoss: LinkEffect,
     faults.LinkBursts: _Bursts,
-    faults.LinkBitFlips: _Damage,
-    faults.LinkTruncation: _Damage,
-    faults.LinkGarbage: _Damage,
-    faults.LinkDuplicates: _Duplicates,
-    faults.LinkDelay: _Delay,
-    faults.LinkJitter: _Jitter,
+    faults.LinkBitFlips: LinkEffect,
+    faults.LinkTruncation: LinkEffect,
+    faults.LinkGarbage: LinkEffect,
+    faults.LinkDuplicates: LinkEffect,
+    faults.LinkDelay: LinkEffect,
+    faults.LinkJitter: LinkEffect,
     faults.LinkRateCap: _RateCap,
-    faults.LinkHold: _Hold,
+    faults.LinkHold: LinkEffect,
 }
 """Effects by fault, in the order in which they act on one datagram."""
 
@@ -214,7 +207,7 @@ def _number_of(data: bytes) -> int | None:
     return framing.message_id(data) if is_long else None
 
 
-class ContentEffect(FaultEffect[F]):
+class ContentEffect(FaultEffect[G]):
     """A fault in frames with certain message ids; of the radio, where nothing else is said."""
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
@@ -224,50 +217,51 @@ class ContentEffect(FaultEffect[F]):
         return self._alter(data, due_s) if is_meant else [(due_s, data)]
 
     def _is_about(self, number: int) -> bool:
+        match self.fault:
+            case faults.StreamMute(message=name):
+                return number == message_id(name)
+            case faults.TelemetryNonsense():
+                return number in REPORTS
         return number == RadioRanging.id
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        """Return a changed frame of the kind that the fault is about."""
+        """Return what becomes of a frame of the kind that the fault is about."""
+        match self.fault:
+            case faults.StreamMute() | faults.RangingDropout(missing="both"):
+                return []
+            case faults.RangingStale(age_s=age_s):
+                return [(due_s + age_s, data)]
+            case faults.RangingOutOfOrder(window_s=window_s):
+                return [(due_s + float(self._rng.uniform(0.0, window_s)), data)]
+            case faults.TelemetryNonsense(share=share) if not self._happens(share):
+                return [(due_s, data)]
         return [(due_s, rewrite_frame(data, self._change, self._key))]
 
     def _change(self, message: Any) -> None:
         """Set the fields that are wrong."""
-
-
-class _Mute(ContentEffect[faults.StreamMute]):
-    def _is_about(self, number: int) -> bool:
-        return number == message_id(self.fault.message)
-
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:  # noqa: ARG002
-        return []
-
-
-class _Nonsense(ContentEffect[faults.TelemetryNonsense]):
-    def _is_about(self, number: int) -> bool:
-        return number in REPORTS
-
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        is_hit = self._happens(self.fault.share)
-        return super()._alter(data, due_s) if is_hit else [(due_s, data)]
-
-    def _change(self, message: Any) -> None:
-        kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
-        names = [
-            name
-            for name in message.fieldnames
-            if name not in CLOCK_FIELDS and not isinstance(getattr(message, name), list)
-        ]
-        name = names[int(self._rng.integers(len(names)))]
-        choices = ABSURD_FLOATS if kinds[name] == "float" else INTEGER_LIMITS[kinds[name]]
-        setattr(message, name, choices[int(self._rng.integers(len(choices)))])
-
-
-class _Dropout(ContentEffect[faults.RangingDropout]):
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [] if self.fault.missing == "both" else super()._alter(data, due_s)
-
-    def _change(self, message: Any) -> None:
-        setattr(message, self.fault.missing, math.nan)
+        match self.fault:
+            case faults.TelemetryNonsense():
+                kinds = dict(zip(message.fieldnames, message.fieldtypes, strict=True))
+                names = [
+                    name
+                    for name in message.fieldnames
+                    if name not in CLOCK_FIELDS and not isinstance(getattr(message, name), list)
+                ]
+                name = self._any_of(names)
+                is_float = kinds[name] == "float"
+                choices = ABSURD_FLOATS if is_float else INTEGER_LIMITS[kinds[name]]
+                setattr(message, name, self._any_of(choices))
+            case faults.RangingDropout(missing=name):
+                setattr(message, name, math.nan)
+            case faults.RangingWrongUnit(of=of, factor=factor):
+                for name in ("range", "bearing"):
+                    if of in (name, "both"):
+                        setattr(message, name, getattr(message, name) * factor)
+            case faults.RangingNan(share=share):
+                if self._happens(share):
+                    message.range = self._any_of(NOT_A_RANGE)
+                if self._happens(share):
+                    message.bearing = self._any_of(NOT_A_BEARING)
 
 
 class _Freeze(ContentEffect[faults.RangingFreeze]):
@@ -279,13 +273,6 @@ class _Freeze(ContentEffect[faults.RangingFreeze]):
             self._kept = {name: getattr(message, name) for name in self.FIELDS}
         for name, value in self._kept.items():
             setattr(message, name, value)
-
-
-class _WrongUnit(ContentEffect[faults.RangingWrongUnit]):
-    def _change(self, message: Any) -> None:
-        for name in ("range", "bearing"):
-            if self.fault.of in (name, "both"):
-                setattr(message, name, getattr(message, name) * self.fault.factor)
 
 
 class _Outliers(ContentEffect[faults.RangingOutliers]):
@@ -305,24 +292,6 @@ class _Outliers(ContentEffect[faults.RangingOutliers]):
         message.range = max(self.SHORTEST_M, message.range + excess_m)
         if self.fault.is_bearing_hit:
             message.bearing = float(self._rng.uniform(-math.pi, math.pi))
-
-
-class _NotNumbers(ContentEffect[faults.RangingNan]):
-    def _change(self, message: Any) -> None:
-        if self._happens(self.fault.share):
-            message.range = NOT_A_RANGE[int(self._rng.integers(len(NOT_A_RANGE)))]
-        if self._happens(self.fault.share):
-            message.bearing = NOT_A_BEARING[int(self._rng.integers(len(NOT_A_BEARING)))]
-
-
-class _Stale(ContentEffect[faults.RangingStale]):
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + self.fault.age_s, data)]
-
-
-class _OutOfOrder(ContentEffect[faults.RangingOutOfOrder]):
-    def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        return [(due_s + float(self._rng.uniform(0.0, self.fault.window_s)), data)]
 
 
 class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
@@ -355,14 +324,8 @@ class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
 
 
 CONTENT_EFFECTS: dict[type[FaultRecord], type[FaultEffect[Any]]] = {
-    faults.StreamMute: _Mute,
-    faults.TelemetryNonsense: _Nonsense,
-    faults.RangingDropout: _Dropout,
     faults.RangingFreeze: _Freeze,
-    faults.RangingWrongUnit: _WrongUnit,
     faults.RangingOutliers: _Outliers,
-    faults.RangingNan: _NotNumbers,
-    faults.RangingStale: _Stale,
-    faults.RangingOutOfOrder: _OutOfOrder,
     faults.RangingSecondEmitter: _SecondEmitter,
 }
+"""Effects that remember something."""

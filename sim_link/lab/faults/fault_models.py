@@ -7,12 +7,12 @@ schedule began. What happens to the vehicle itself is in `sim_link.autopilot.inc
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
 
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, Positive
-from sim_link.autopilot.incidents import FaultRecord, Incident, OtherVehicle, VehicleFault
+from sim_link.autopilot.incidents import FaultRecord, OtherVehicle, VehicleFault, kinds_of
 from sim_link.world.point_mass import Share
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=1000)]
@@ -240,47 +240,15 @@ class SecondSender(VehicleFault, frozen=True, tag="second_sender"):
     duration_s: Positive = 3.0
 
 
-Fault = (
-    LinkLoss
-    | LinkBursts
-    | LinkBlackout
-    | LinkDelay
-    | LinkJitter
-    | LinkDuplicates
-    | LinkBitFlips
-    | LinkTruncation
-    | LinkGarbage
-    | LinkRateCap
-    | LinkHold
-    | StreamMute
-    | RangingDropout
-    | RangingFreeze
-    | RangingWrongUnit
-    | RangingOutliers
-    | RangingStale
-    | RangingOutOfOrder
-    | RangingSecondEmitter
-    | RangingNan
-    | Incident
-    | ModeFlap
-    | Disarm
-    | SecondSender
-    | TelemetryNonsense
-    | CompanionKilled
-    | CompanionStalled
-    | CompanionTerminated
-    | ForgedFrames
-    | ReplayedFrames
-    | UnsignedFrames
-    | ForeignFrames
-    | OtherVehicle
-)
-"""Any fault, identified by `kind` in a file."""
-
+GROUPS = (LinkFault, ContentFault, VehicleFault, ProcessFault, SecurityFault, OtherVehicle)
 KINDS: dict[str, type[FaultRecord]] = {
-    str(kind.__struct_config__.tag): kind for kind in get_args(Fault)
+    str(kind.__struct_config__.tag): kind for base in GROUPS for kind in kinds_of(base)
 }
 """Every fault by the name that a file gives it."""
+if TYPE_CHECKING:
+    Fault: TypeAlias = FaultRecord
+else:
+    Fault = Union[tuple(KINDS.values())]  # noqa: UP007  not written out
 
 
 class Schedule(Params, frozen=True):

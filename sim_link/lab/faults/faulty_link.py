@@ -90,9 +90,10 @@ class FaultyLink:
         """Add a fault, its times counted from `began_s`."""
         self._count += 1
         kind, seed = type(fault), (self._seed, self._count)
-        if kind in fault_effects.CONTENT_EFFECTS:
+        if isinstance(fault, faults.ContentFault):
             rng = np.random.default_rng(seed)
-            effect = fault_effects.CONTENT_EFFECTS[kind](fault, rng, began_s, self._key)
+            make_effect = fault_effects.CONTENT_EFFECTS.get(kind, fault_effects.ContentEffect)
+            effect = make_effect(fault, rng, began_s, self._key)
             for lane in CONTENT_LANES:
                 self._effects[lane].append(effect)
         if isinstance(fault, faults.LinkFault):
