@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, Union
 import msgspec
 
 from companion.domain import FlightMode, NonNegative, Params, PositionEnu, Positive
-from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.environment import Coordinate
 from sim_link.world.point_mass import Share, WindSpeed
 
@@ -24,6 +23,25 @@ ClockStep = Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)]
 StallLength = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
 ComponentName = Literal[
     "gimbal", "camera", "adsb", "router", "station", "mavros", "companion", "tracker", "autopilot"
+]
+VehicleTypeName = Literal[
+    "quadrotor",
+    "hexarotor",
+    "octorotor",
+    "tricopter",
+    "dodecarotor",
+    "decarotor",
+    "coaxial",
+    "helicopter",
+    "plane",
+    "quadplane",
+    "tiltrotor",
+    "tailsitter",
+    "rover",
+    "boat",
+    "sub",
+    "tracker",
+    "generic",
 ]
 EstimatorVote = Literal["all", "velocity", "position", "height", "compass"]
 Angle = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]

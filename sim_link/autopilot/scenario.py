@@ -13,9 +13,8 @@ from companion.domain import Autopilot, NonNegative, Params, Positive
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import check_polygon
 from sim_link.autopilot.estimator import GpsParams, NavigationParams
-from sim_link.autopilot.incidents import Incident, OtherVehicle
+from sim_link.autopilot.incidents import Incident, OtherVehicle, VehicleTypeName
 from sim_link.autopilot.protocols.addressing import LinkMode
-from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.world.environment import (
     Coordinate,
     EmitterParams,

@@ -6,7 +6,8 @@ PX4 1.15 and ArduCopter 4.5 send them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import get_args
 
 from companion.domain import FlightMode
 from companion.geometry.coordinates import ned_from_enu
@@ -14,6 +15,7 @@ from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, ma
 from companion.mav.payloads import IdentifiedMissionCurrent
 from sim_link.autopilot import motion_messages as motion
 from sim_link.autopilot.aircraft import CELLS
+from sim_link.autopilot.incidents import VehicleTypeName
 from sim_link.autopilot.motion_messages import (
     INT16_MAX,
     UINT16_MAX,
@@ -26,7 +28,6 @@ from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.command_protocol import NS_PER_S
 from sim_link.autopilot.protocols.plan_items import MissionProgress
 from sim_link.autopilot.vehicle import SimVehicle
-from sim_link.autopilot.vehicle_types import MAV_TYPE
 
 MAVLINK_VERSION = 3
 INERTIAL_SENSORS = flags_of("MAV_SYS_STATUS_SENSOR", "3D_GYRO 3D_ACCEL 3D_MAG ABSOLUTE_PRESSURE")
@@ -49,6 +50,22 @@ GOOD_ESTIMATE = flags_of(
 )
 """EKF_STATUS_FLAGS has the same bits."""
 BLIND_ESTIMATE = flags_of("ESTIMATOR", "ATTITUDE VELOCITY_VERT POS_VERT_ABS CONST_POS_MODE")
+
+OTHER_TYPE_NAMES = {
+    "plane": "FIXED_WING",
+    "quadplane": "VTOL_RESERVED2",  # VTOL_FIXEDROTOR in later dialects
+    "tiltrotor": "VTOL_TILTROTOR",
+    "tailsitter": "VTOL_QUADROTOR",
+    "rover": "GROUND_ROVER",
+    "boat": "SURFACE_BOAT",
+    "sub": "SUBMARINE",
+    "tracker": "ANTENNA_TRACKER",
+}
+MAV_TYPE: Mapping[VehicleTypeName, int] = {
+    name: getattr(mavlink, f"MAV_TYPE_{OTHER_TYPE_NAMES.get(name, name.upper())}")
+    for name in get_args(VehicleTypeName)
+}
+"""However it is called, it moves as the simulated multicopter does."""
 
 
 def heartbeat(vehicle: SimVehicle) -> Fields:

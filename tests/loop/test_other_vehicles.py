@@ -14,9 +14,14 @@ from companion.domain import FlightMode, PositionEnu
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.link.identity import DOUBT_S
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.incidents import ComponentName, OtherComponent, OtherVehicle, PilotMode
+from sim_link.autopilot.incidents import (
+    ComponentName,
+    OtherComponent,
+    OtherVehicle,
+    PilotMode,
+    VehicleTypeName,
+)
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.lab.faults.fault_models import LinkBlackout
 from sim_link.lab.faults.faulty_link import Injector
 from sim_link.lab.observer import Frame, Observer

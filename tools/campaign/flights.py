@@ -19,10 +19,9 @@ from companion.link.interface import Journal, LinkSpec
 from companion.mav.signing import ONE_LINK_EACH, LinkSigning, Signing, SigningKey, timestamp_at
 from sim_link.autopilot import incidents
 from sim_link.autopilot.endpoint import SimEndpoint
-from sim_link.autopilot.incidents import ComponentName
+from sim_link.autopilot.incidents import ComponentName, VehicleTypeName
 from sim_link.autopilot.protocols.link_layer import LinkSecurity
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.faults.fault_models import Direction, Fault, RangingField, Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector

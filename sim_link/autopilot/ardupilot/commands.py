@@ -14,6 +14,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
 from sim_link.autopilot.ardupilot.control import OUT_OF_SIGHT_M, Target
 from sim_link.autopilot.ardupilot.firmware_profile import (
+    ARDUPILOT_TABLES,
     AUTO,
     CLIMB,
     DESCENT,
@@ -48,7 +49,6 @@ from sim_link.autopilot.protocols.command_protocol import Command
 from sim_link.autopilot.protocols.message_streams import cast_to_uint32
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 from sim_link.autopilot.protocols.plan_rules import commands_named
-from sim_link.autopilot.vehicle_types import ARDUPILOT_TABLES
 
 TAKEOFF_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,)
 WARNING, ERROR = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_ERROR

@@ -7,18 +7,26 @@ ArduCopter 4.5.5 shows, and with SITL's `copter.parm` (battery monitor, flight m
 throttle failsafe); ranges are those of the Copter Parameter List by sense, and bind scenarios only:
 a client may set what is out of range. The battery failsafes are BATT_FS_*, as since Copter 3.6.
 
-Source of the modes: ArduPilot `ArduCopter/mode.h`; ArduCopter 4.5 as observed in SITL.
+Other firmwares each have a table of modes of their own; a number that one of them does not have is
+refused, and one that another has a meaning for is taken in that meaning. PX4 numbers modes alike
+for all types of vehicle.
+
+Source of the modes: ArduPilot `mode.h` of Copter, Plane, Rover, Sub and Tracker; ArduCopter 4.5 as
+observed in SITL.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from companion.domain import FlightMode
 from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.flavour import read_firmware
+from sim_link.autopilot.incidents import VehicleTypeName
 from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs
@@ -131,3 +139,65 @@ def available_modes() -> list[Message]:
         mavlink.MAVLink_available_modes_message(len(names), index, 0, number, 0, name.encode())
         for index, (number, name) in enumerate(names, 1)
     ]
+
+
+class WireMode(NamedTuple):
+    """Mode with its number in a firmware."""
+
+    number: int
+    name: str
+    copter_number: int | None
+    """The Copter mode that does the same; None: it cannot be entered here."""
+
+
+def _wire_modes(text: str) -> dict[int, WireMode]:
+    """Return a table from `number:NAME=copter number` words."""
+    modes = {}
+    for word in text.split():
+        number, _, rest = word.partition(":")
+        name, _, copter = rest.partition("=")
+        modes[int(number)] = WireMode(int(number), name, int(copter) if copter else None)
+    return modes
+
+
+PLANE = _wire_modes(
+    "0:MANUAL=0 1:CIRCLE=7 2:STABILIZE=0 3:TRAINING=0 4:ACRO=1 5:FBWA=0 6:FBWB=2 7:CRUISE=2 "
+    "8:AUTOTUNE 10:AUTO=3 11:RTL=6 12:LOITER=17 13:TAKEOFF 14:AVOID_ADSB=19 15:GUIDED=4 "
+    "16:INITIALISING 24:THERMAL"
+)
+QUADPLANE = PLANE | _wire_modes(
+    "17:QSTABILIZE=0 18:QHOVER=2 19:QLOITER=5 20:QLAND=9 21:QRTL=6 22:QAUTOTUNE 23:QACRO=1"
+)
+ROVER = _wire_modes(
+    "0:MANUAL=0 1:ACRO=1 3:STEERING=0 4:HOLD=17 5:LOITER=17 6:FOLLOW 7:SIMPLE=0 9:CIRCLE=7 "
+    "10:AUTO=3 11:RTL=6 12:SMART_RTL=21 15:GUIDED=4 16:INITIALISING"
+)
+SUB = _wire_modes(
+    "0:STABILIZE=0 1:ACRO=1 2:ALT_HOLD=2 3:AUTO=3 4:GUIDED=4 7:CIRCLE=7 9:SURFACE=9 16:POSHOLD=16 "
+    "19:MANUAL=0 20:MOTOR_DETECT 21:SURFTRAK=2"
+)
+TRACKER = _wire_modes("0:MANUAL=0 1:STOP=17 2:SCAN 3:SERVOTEST 4:GUIDED 10:AUTO 16:INITIALISING")
+ARDUPILOT_TABLES: Mapping[VehicleTypeName, Mapping[int, WireMode]] = {
+    "plane": PLANE,
+    "quadplane": QUADPLANE,
+    "tiltrotor": QUADPLANE,
+    "tailsitter": QUADPLANE,
+    "rover": ROVER,
+    "boat": ROVER,
+    "sub": SUB,
+    "tracker": TRACKER,
+}
+"""Mode tables of all types but those that Copter flies."""
+IGNORES_LOCAL_SETPOINTS = frozenset({"plane", "quadplane", "tiltrotor", "tailsitter", "tracker"})
+"""ArduPlane's GUIDED flies to positions of commands only, a tracker to none."""
+
+
+def shown_number(vehicle_type: VehicleTypeName, copter_number: int, chosen: int | None) -> int:
+    """Return ArduPilot's HEARTBEAT.custom_mode, as chosen while that mode lasts."""
+    table = ARDUPILOT_TABLES.get(vehicle_type)
+    if table is None:
+        return copter_number
+    if chosen is not None and table[chosen].copter_number == copter_number:
+        return chosen
+    same = [mode.number for mode in table.values() if mode.copter_number == copter_number]
+    return same[0] if same else 0

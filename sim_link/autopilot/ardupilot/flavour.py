@@ -29,11 +29,13 @@ from sim_link.autopilot.ardupilot.firmware_profile import (
     FIRMWARE,
     GUIDED,
     HORIZONTAL,
+    IGNORES_LOCAL_SETPOINTS,
     LAND,
     RTL,
     STABILIZE,
     CopterMode,
     available_modes,
+    shown_number,
 )
 from sim_link.autopilot.control_inputs import (
     THROTTLE_DOWN,
@@ -52,7 +54,6 @@ from sim_link.autopilot.flavour import (
 from sim_link.autopilot.mission_executor import LegKind
 from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
-from sim_link.autopilot.vehicle_types import IGNORES_LOCAL_SETPOINTS, shown_number
 from sim_link.world.point_mass import stopping_point
 
 ALTITUDE_MAX, CIRCLE, POLYGON = 1, 2, 4

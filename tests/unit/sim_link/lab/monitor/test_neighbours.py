@@ -7,9 +7,8 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.guidance.commands import SessionParams
 from companion.guidance.phases import IN_CONTROL, Phase
-from sim_link.autopilot.incidents import OtherVehicle
+from sim_link.autopilot.incidents import OtherVehicle, VehicleTypeName
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
-from sim_link.autopilot.vehicle_types import VehicleTypeName
 from sim_link.lab.faults.fault_models import ForgedFrames, Schedule
 from tests.loop.loop_helpers import said
 from tests.planted_companions import Planted, SendsToEverybody, maker
