@@ -66,7 +66,7 @@ PATH_NORMALS, GROSS_NORMALS, FREE_NORMALS = 3, 4, 5
 def burial_excess_m(thickness_m: float, permittivity: float, up: float) -> float:
     """Return the excess range of a level slab in m; `up` is the cosine from the vertical."""
     sine2 = 1.0 - up * up
-    return thickness_m * (math.sqrt(permittivity - sine2) - abs(up))
+    return thickness_m * max(0.0, math.sqrt(permittivity - sine2) - abs(up))
 
 
 def link_margin_db(params: LossParams, slant_m: float, walls: int, body_down: float) -> float:

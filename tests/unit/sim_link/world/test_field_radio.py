@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from companion.domain import PositionEnu, RangingMeasurement
@@ -201,6 +201,7 @@ def test_a_slab_delays_by_its_index() -> None:
 
 
 @given(st.floats(1.0, 30.0), st.floats(0.0, 1.0))
+@example(1.0, 1.6271176432212397e-09)
 def test_its_excess_is_bounded_and_grows_off_the_vertical(permittivity: float, up: float) -> None:
     excess = burial_excess_m(1.0, permittivity, up)
     low, high = math.sqrt(permittivity) - 1.0, math.sqrt(permittivity - 1.0)
