@@ -6,11 +6,6 @@ misread in one way may be misread in others, too.
 Frozen: a value that stays constant while the vehicle moves was not measured. A radio that hangs
 repeats its last number with fresh stamps. Noise never repeats itself to the last bit, and a radio
 with coarse numbers repeats them only while the vehicle moves little compared to its steps.
-
-Bearings: their scatter shows whether they are in radians. In degrees most bearings exceed half a
-turn, which is rejected, or turn at random, because two degrees of noise are then more than a
-hundred. A bearing that was divided instead hardly leaves zero, whatever the vehicle flies past: a
-direction finder with less scatter than its own noise measures nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +16,6 @@ from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import pairwise
 
 from companion.domain import (
     POWER_LIMITS_DBM,
@@ -37,8 +31,15 @@ from companion.estimation.antenna import (
     lost_direction,
 )
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.unit_check import UnitCheck
-from companion.geometry.coordinates import wrap_pi
+from companion.estimation.unit_check import (
+    BEARINGS,
+    NEWEST_COUNT,
+    RANGES,
+    BearingCheck,
+    Sample,
+    Sampling,
+    UnitCheck,
+)
 
 
 class RejectReason(Enum):
@@ -179,78 +180,34 @@ class FrozenValue:
         return has_moved and self._count >= FROZEN_COUNT and time_s - self._since_s >= FROZEN_S
 
 
-QUIET_S, RANDOM_S = 2.5, 4.0
-"""Span of the bearings that are tested for being quiet, and for being random."""
-MIN_COUNT, MAX_COUNT = 16, 96
-"""Fewest bearings in a test, and most that are kept."""
-EVERY = 4
-"""Bearings between two tests."""
-MIN_PATH_M = 5.0
-"""Motion of the vehicle without which quiet bearings prove nothing."""
-QUIET_SIGMAS = 1.0 / 6.0
-"""Distance between the outer deciles, in sigma, below which bearings are quiet; noise makes 2.6."""
-RANDOM_COSINE = 0.1
-"""Mean cosine of the turns between consecutive bearings below which they are random: about 0 for
-random bearings, 0.36 with two outliers among five."""
-RANDOM_COUNT = 32
-"""Turns needed for the test."""
+class SampleHistory:
+    """Latest values of one kind, from which a check of their unit is made periodically."""
 
-
-class BearingCheck:
-    """Monitor of one emitter's bearings: quiet or random ones are in a wrong unit."""
-
-    def __init__(self) -> None:
-        self._samples: deque[tuple[float, float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
-        self._since = 0
-        self.is_quiet = False
-        """True if bearings scatter less than their noise while the vehicle moves."""
-        self.is_random = False
-        """True if consecutive bearings are unrelated."""
-        self.is_rejected = False
-        """True if bearings must not be used, for either of the two reasons."""
-
-    def forget_samples(self) -> None:
-        """Forget the measurements, but not the result."""
-        self._samples.clear()
+    def __init__(self, sampling: Sampling, check: UnitCheck | BearingCheck) -> None:
+        self.check = check
+        self._sampling = sampling
+        self._samples: deque[Sample] = deque(maxlen=sampling.most)
         self._since = 0
 
-    def add(
-        self, time_s: float, bearing_rad: float, sigma_rad: float, sensor_enu_m: PositionEnu
-    ) -> None:
-        """Process a bearing, and test periodically."""
-        self._samples.append((time_s, bearing_rad, sigma_rad, sensor_enu_m))
-        while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - RANDOM_S:
-            self._samples.popleft()
+    def add(self, sample: Sample) -> None:
+        """Process a value as reported, and check the unit if that is due."""
+        samples, (span_s, least, _, every, changed_ratio) = self._samples, self._sampling
+        samples.append(sample)
+        if changed_ratio is not None:
+            sizes = [each.value for each in samples]
+            before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
+            if len(before) >= NEWEST_COUNT:
+                middle = statistics.median(before)
+                if max(newest) < middle / changed_ratio or min(newest) > middle * changed_ratio:
+                    for _ in before:  # of another unit: a mixture of units explains nothing
+                        samples.popleft()
+                    self._since = every
+        while len(samples) > least and samples[0].time_s < sample.time_s - span_s:
+            samples.popleft()
         self._since += 1
-        if self._since < EVERY or len(self._samples) < MIN_COUNT:
-            return
-        self._since = 0
-        self.is_random = self._looks_random()
-        self._judge_quiet(time_s)
-        self.is_rejected = self.is_quiet or self.is_random
-
-    def _looks_random(self) -> bool:
-        bearings = [bearing for _, bearing, _, _ in self._samples]
-        if len(bearings) <= RANDOM_COUNT:
-            return False
-        cosines = [math.cos(after - before) for before, after in pairwise(bearings)]
-        return statistics.fmean(cosines) < RANDOM_COSINE
-
-    def _judge_quiet(self, now_s: float) -> None:
-        recent = [sample for sample in self._samples if sample[0] >= now_s - QUIET_S]
-        if len(recent) < MIN_COUNT:
-            recent = list(self._samples)[-MIN_COUNT:]
-        bearings = [bearing for _, bearing, _, _ in recent]
-        sigma_rad = statistics.median([sigma for _, _, sigma, _ in recent])
-        middle = math.atan2(math.fsum(map(math.sin, bearings)), math.fsum(map(math.cos, bearings)))
-        off = [wrap_pi(bearing - middle) for bearing in bearings]
-        low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
-        if high - low >= QUIET_SIGMAS * sigma_rad:
-            self.is_quiet = False
-            return
-        places = [place for _, _, _, place in recent]
-        if sum(math.dist(before, after) for before, after in pairwise(places)) >= MIN_PATH_M:
-            self.is_quiet = True
+        if self._since >= every and len(samples) >= least:
+            self._since = 0
+            self.check.judge(samples)
 
 
 STEEP_RATIO = 1.5
@@ -323,8 +280,8 @@ class MeasurementScreen:
 
     def forget_motion(self) -> None:
         """Forget positions from before a jump of the vehicle's navigation."""
-        self._units.forget_samples()
-        self._bearings.forget_samples()
+        self._ranges = SampleHistory(RANGES, self._units)
+        self._directions = SampleHistory(BEARINGS, self._bearings)
         least_m = max(FROZEN_M, FROZEN_STEPS * self._params.range_step_m)
         self._frozen_range, self._frozen_bearing = FrozenValue(least_m), FrozenValue()
         self._frozen_power = FrozenValue(FROZEN_POWER_M)
@@ -407,7 +364,7 @@ class MeasurementScreen:
         self._absurd_ranges.add(now_s, is_true=False)
         if self._frozen_range.add(range_m, time_s, sensor_enu_m):
             return RejectReason.FROZEN
-        self._units.add(time_s, range_m, sensor_enu_m)
+        self._ranges.add(Sample(time_s, range_m, sensor_enu_m))
         return RejectReason.WRONG_UNIT if self._units.is_rejected else None
 
     def _bearing_reason(
@@ -429,7 +386,7 @@ class MeasurementScreen:
         # without a range only azimuths about the vertical can be tested: the steepness is unknown
         if is_flat or (m.range_m is None and m.array is None):
             _, sigma_rad, _ = self._params.effective_sigmas(m)
-            self._bearings.add(m.measured_at_s, raw_rad, sigma_rad, sensor_enu_m)
+            self._directions.add(Sample(m.measured_at_s, raw_rad, sensor_enu_m, sigma_rad))
         if self._bearings.is_rejected:
             return RejectReason.WRONG_UNIT
         self.has_body_bearings = m.bearing_body_rad is not None

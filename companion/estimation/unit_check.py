@@ -1,4 +1,4 @@
-"""Test of the unit of ranges against the vehicle's motion, independent of any estimate.
+"""Tests of the units of ranges and bearings, independent of any estimate.
 
 Theory of operation. A range in the wrong unit is a plausible number: 60 m become 0.6. But ranges
 must change as the distance to *some* position does when the vehicle moves. So the ranges of the
@@ -17,21 +17,56 @@ which no reflection does. Guidance does not use such ranges, whatever their unit
 
 Ranges in steps (`range_step_m`) hardly change within seconds in any unit. The variance of a step
 always counts as unexplained, so that nothing is concluded from it.
+
+Bearings. Their scatter shows whether they are in radians. In degrees most bearings exceed half a
+turn, which is rejected, or turn at random, because two degrees of noise are then more than a
+hundred. A bearing that was divided instead hardly leaves zero, whatever the vehicle flies past: a
+direction finder with less scatter than its own noise measures nothing.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
+from companion.geometry.coordinates import wrap_pi
 from companion.kernel import Matrix, Vector
+
+
+class Sample(NamedTuple):
+    """Value as a radio reported it."""
+
+    time_s: float
+    value: float
+    """Metres or radians, if it is in the right unit."""
+    place_enu_m: PositionEnu
+    """Position of the sensor."""
+    sigma: float = 0.0
+    """Standard deviation in use, of a bearing."""
+
+
+class Sampling(NamedTuple):
+    """Samples that a check takes."""
+
+    span_s: float
+    """Span of older ones that are dropped, ..."""
+    least: int
+    """... but for this number, the fewest in a check."""
+    most: int
+    every: int
+    """Samples between two checks."""
+    changed_ratio: float | None = None
+    """Ratio of the newest to earlier ones from which they come in another unit than before, and the
+    next check as soon as possible; None: the size of a value shows nothing."""
+
 
 FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
 """Reported over true range in kilometres, in hundreds of metres, and after a conversion from
@@ -42,13 +77,9 @@ step."""
 CHANGED_RATIO = 5.0
 """Ratio of newest to earlier ranges from which they come in another unit than before."""
 NEWEST_COUNT = 4
-"""Consecutive ranges that must have changed."""
-WINDOW_S = 3.0
-"""Span of the ranges in a test: a vehicle at 3 m/s moves by 9 m in it."""
-MIN_COUNT, MAX_COUNT = 12, 48
-"""Fewest and most ranges in a test."""
-EVERY = 8
-"""Ranges between two tests; after a change of size the next test comes as soon as possible."""
+"""Consecutive values that must have changed."""
+RANGES = Sampling(span_s=3.0, least=12, most=48, every=8, changed_ratio=CHANGED_RATIO)
+"""A vehicle at 3 m/s moves by 9 m in that span."""
 REJECT_LOG_RATIO = math.log(1000.0)
 """Log-likelihood ratio to metres at which a factor is accepted."""
 ACCEPT_LOG_RATIO = -3.0
@@ -130,8 +161,6 @@ class UnitCheck:
         rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
         self._around_m: Matrix = rings.reshape(-1, 2)
         """Trial positions relative to the vehicle, (places, 2)."""
-        self._samples: deque[tuple[float, float, PositionEnu]] = deque(maxlen=MAX_COUNT)
-        self._since = 0
         self._rejected_s = 0.0
         self._rejected_m = 0.0
         self.factor: float | None = None
@@ -141,43 +170,19 @@ class UnitCheck:
         self.is_rejected = False
         """True if ranges must not be used, for either of the two reasons."""
 
-    def forget_samples(self) -> None:
-        """Forget the measurements, but not the result."""
-        self._samples.clear()
-        self._since = 0
-
-    def add(self, time_s: float, range_m: float, sensor_enu_m: PositionEnu) -> None:
-        """Process a range as reported, finite and positive, and test periodically."""
-        self._samples.append((time_s, range_m, sensor_enu_m))
-        sizes = [size for _, size, _ in self._samples]
-        before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
-        if len(before) >= NEWEST_COUNT:
-            middle_m = statistics.median(before)
-            if max(newest) < middle_m / CHANGED_RATIO or min(newest) > middle_m * CHANGED_RATIO:
-                for _ in before:  # of another unit: a mixture of units explains nothing
-                    self._samples.popleft()
-                self._since = EVERY
-        while len(self._samples) > MIN_COUNT and self._samples[0][0] < time_s - WINDOW_S:
-            self._samples.popleft()
-        self._since += 1
-        if self._since < EVERY or len(self._samples) < MIN_COUNT:
-            return
-        self._since = 0
-        self._judge(time_s)
-
-    def _judge(self, now_s: float) -> None:
-        raw_m = [range_m for _, range_m, _ in self._samples]
+    def judge(self, samples: Sequence[Sample]) -> None:
+        """Test ranges, finite and positive, oldest first."""
+        now_s, raw_m = samples[-1].time_s, [sample.value for sample in samples]
         middle_m = statistics.median(raw_m)
-        window = _Window(
-            _clipped(raw_m, middle_m), np.array([place for _, _, place in self._samples])
-        )
+        places = np.array([sample.place_enu_m for sample in samples])
+        window = _Window(_clipped(raw_m, middle_m), places)
         if not self.is_rejected:
             factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
             if log_ratio >= REJECT_LOG_RATIO:
                 self.factor = factor
             self.is_wild = self._is_wild(window)
             self._rejected_s, self._rejected_m = now_s, middle_m
-        elif self._samples[0][0] > self._rejected_s:
+        elif samples[0].time_s > self._rejected_s:
             self._reconsider(window, middle_m)
         self.is_rejected = self.factor is not None or self.is_wild
 
@@ -269,3 +274,60 @@ def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
     deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
     clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
     return clipped
+
+
+QUIET_S = 2.5
+"""Span of the bearings that are tested for being quiet."""
+BEARINGS = Sampling(span_s=4.0, least=16, most=96, every=4)
+"""Their span is that of the bearings that are tested for being random."""
+MIN_PATH_M = 5.0
+"""Motion of the vehicle without which quiet bearings prove nothing."""
+QUIET_SIGMAS = 1.0 / 6.0
+"""Distance between the outer deciles, in sigma, below which bearings are quiet; noise makes 2.6."""
+RANDOM_COSINE = 0.1
+"""Mean cosine of the turns between consecutive bearings below which they are random: about 0 for
+random bearings, 0.36 with two outliers among five."""
+RANDOM_COUNT = 32
+"""Turns needed for the test."""
+
+
+class BearingCheck:
+    """Monitor of one emitter's bearings: quiet or random ones are in a wrong unit."""
+
+    def __init__(self) -> None:
+        self.is_quiet = False
+        """True if bearings scatter less than their noise while the vehicle moves."""
+        self.is_random = False
+        """True if consecutive bearings are unrelated."""
+        self.is_rejected = False
+        """True if bearings must not be used, for either of the two reasons."""
+
+    def judge(self, samples: Sequence[Sample]) -> None:
+        """Test bearings as reported, oldest first."""
+        self.is_random = _looks_random([sample.value for sample in samples])
+        self._judge_quiet(samples)
+        self.is_rejected = self.is_quiet or self.is_random
+
+    def _judge_quiet(self, samples: Sequence[Sample]) -> None:
+        since_s = samples[-1].time_s - QUIET_S
+        recent = [sample for sample in samples if sample.time_s >= since_s]
+        if len(recent) < BEARINGS.least:
+            recent = list(samples)[-BEARINGS.least :]
+        bearings = [sample.value for sample in recent]
+        sigma_rad = statistics.median([sample.sigma for sample in recent])
+        middle = math.atan2(math.fsum(map(math.sin, bearings)), math.fsum(map(math.cos, bearings)))
+        off = [wrap_pi(bearing - middle) for bearing in bearings]
+        low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
+        if high - low >= QUIET_SIGMAS * sigma_rad:
+            self.is_quiet = False
+            return
+        places = [sample.place_enu_m for sample in recent]
+        if sum(math.dist(before, after) for before, after in pairwise(places)) >= MIN_PATH_M:
+            self.is_quiet = True
+
+
+def _looks_random(bearings: Sequence[float]) -> bool:
+    if len(bearings) <= RANDOM_COUNT:
+        return False
+    cosines = [math.cos(after - before) for before, after in pairwise(bearings)]
+    return statistics.fmean(cosines) < RANDOM_COSINE

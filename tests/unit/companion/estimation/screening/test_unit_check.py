@@ -11,7 +11,8 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.unit_check import UnitCheck
+from companion.estimation.screen import SampleHistory
+from companion.estimation.unit_check import RANGES, Sample, UnitCheck
 
 MAX_RANGE_M = 2000.0
 RATE_HZ = 10.0
@@ -32,7 +33,6 @@ CANONICAL = Radio(1.5, 0.9, 8.0, 1.5)
 UWB = Radio(0.05, 0.0, 0.0, 0.2)
 CELL = Radio(11.3, 0.7, 15.0, 15.0)
 NOISELESS = Radio(0.0, 0.0, 0.0, 0.0)
-Sample = tuple[float, float, PositionEnu]
 
 
 def _place(track: Track, time_s: float, height_m: float) -> PositionEnu:
@@ -55,22 +55,22 @@ def _samples(
         place = _place(track, time_s, height_m)
         range_m = math.dist(place, TARGET) + radio.offset_m + radio.sigma_m * rng.normal()
         range_m += radio.bias_m * rng.exponential() * (rng.random() < radio.p_nlos)
-        samples.append((time_s, max(float(range_m), 0.01), place))
+        samples.append(Sample(time_s, max(float(range_m), 0.01), place))
     return samples
 
 
-def _condemned_s(check: UnitCheck, samples: list[Sample], factor: float) -> float | None:
+def _condemned_s(history: SampleHistory, samples: list[Sample], factor: float) -> float | None:
     """When ranges times a factor are condemned; what is absurd never gets here."""
-    for time_s, range_m, place in samples:
-        if factor * range_m <= MAX_RANGE_M:
-            check.add(time_s, factor * range_m, place)
-        if check.is_rejected:
-            return time_s
+    for sample in samples:
+        if factor * sample.value <= MAX_RANGE_M:
+            history.add(sample._replace(value=factor * sample.value))
+        if history.check.is_rejected:
+            return sample.time_s
     return None
 
 
-def _check(params: FilterParams | None = None) -> UnitCheck:
-    return UnitCheck(params or FilterParams(), MAX_RANGE_M)
+def _history(params: FilterParams | None = None) -> SampleHistory:
+    return SampleHistory(RANGES, UnitCheck(params or FilterParams(), MAX_RANGE_M))
 
 
 @pytest.mark.parametrize("factor", [0.001, 0.01, 1.0 / 57.3])
@@ -81,18 +81,18 @@ def test_a_larger_unit_is_told_within_two_seconds_of_motion(
     factor: float, track: Track, radio: Radio, height_m: float
 ) -> None:
     for seed in range(3):
-        told_s = _condemned_s(_check(), _samples(radio, track, height_m, 3.0, seed), factor)
+        told_s = _condemned_s(_history(), _samples(radio, track, height_m, 3.0, seed), factor)
         assert told_s is not None
         assert told_s <= 2.0
 
 
 def test_above_what_the_offset_allows_hovering_is_enough() -> None:
     hovering = _samples(CANONICAL, "hover", 20.0, 3.0, 1)
-    assert _condemned_s(_check(), hovering, 0.01) is not None
+    assert _condemned_s(_history(), hovering, 0.01) is not None
     bounded = FilterParams(range_offset_min_m=-3.0, range_offset_max_m=3.0, range_sigma_m=0.15)
     low = _samples(UWB, "hover", 8.0, 3.0, 1)
-    assert _condemned_s(_check(bounded), low, 0.01) is not None
-    assert _condemned_s(_check(), low, 0.01) is None  # an offset of -8 m is possible there
+    assert _condemned_s(_history(bounded), low, 0.01) is not None
+    assert _condemned_s(_history(), low, 0.01) is None  # an offset of -8 m is possible there
 
 
 @pytest.mark.parametrize("radio", [CANONICAL, UWB])
@@ -100,7 +100,7 @@ def test_a_smaller_unit_scatters_or_runs_away(radio: Radio) -> None:
     """Nearer than 35 m even 57.3 times the range is not absurd."""
     flown = [s for s in _samples(radio, "radial", 10.0, 12.0, 2) if s[1] < 34.0]
     began_s = flown[0][0]
-    told_s = _condemned_s(_check(), flown, 57.3)
+    told_s = _condemned_s(_history(), flown, 57.3)
     assert told_s is not None
     assert told_s - began_s <= 3.0
 
@@ -111,13 +111,13 @@ def test_a_smaller_unit_scatters_or_runs_away(radio: Radio) -> None:
 def test_metres_are_never_condemned(track: Track, radio: Radio, height_m: float) -> None:
     for seed in range(3):
         samples = _samples(radio, track, height_m, 30.0, 10 + seed)
-        assert _condemned_s(_check(), samples, 1.0) is None
+        assert _condemned_s(_history(), samples, 1.0) is None
 
 
 def _in_steps(radio: Radio, track: Track, step_m: float, seed: int) -> list[Sample]:
     """What a cell makes of it, twice a second."""
     samples = _samples(radio, track, 20.0, 60.0, seed)[::5]
-    return [(t, (r // step_m + 0.5) * step_m, place) for t, r, place in samples]
+    return [sample._replace(value=(sample.value // step_m + 0.5) * step_m) for sample in samples]
 
 
 @pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
@@ -127,43 +127,46 @@ def test_metres_in_steps_that_were_told_are_never_condemned(track: Track, step_m
     for seed in range(5):
         for radio in (CELL, NOISELESS):
             steps = _in_steps(radio, track, step_m, seed)
-            assert _condemned_s(_check(told), steps, 1.0) is None
+            assert _condemned_s(_history(told), steps, 1.0) is None
 
 
 def test_ranges_that_flicker_by_two_steps_are_wild_only_where_nobody_told_of_steps() -> None:
-    flicker = [(0.5 * i, 39.0 + 156.0 * (i % 2), (0.1 * i, 0.0, 20.0)) for i in range(40)]
-    assert _condemned_s(_check(FilterParams(range_step_m=78.0)), flicker, 1.0) is None
-    assert _condemned_s(_check(), flicker, 1.0) is not None
+    flicker = [Sample(0.5 * i, 39.0 + 156.0 * (i % 2), (0.1 * i, 0.0, 20.0)) for i in range(40)]
+    assert _condemned_s(_history(FilterParams(range_step_m=78.0)), flicker, 1.0) is None
+    assert _condemned_s(_history(), flicker, 1.0) is not None
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4])
 def test_outliers_are_another_matter(share: float) -> None:
     rng = np.random.default_rng(5)
     outliers = [
-        (t, r + float(rng.exponential(40.0)) * (rng.random() < share), place)
-        for t, r, place in _samples(CANONICAL, "radial", 20.0, 30.0, 3)
+        sample._replace(value=sample.value + float(rng.exponential(40.0)) * (rng.random() < share))
+        for sample in _samples(CANONICAL, "radial", 20.0, 30.0, 3)
     ]
-    assert _condemned_s(_check(), outliers, 1.0) is None
+    assert _condemned_s(_history(), outliers, 1.0) is None
 
 
 @pytest.mark.parametrize("factor", [0.01, 57.3])
 def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
-    check = _check()
+    history = _history()
     samples = [s for s in _samples(CANONICAL, "radial", 8.0, 14.0, 4) if s[1] < 60.0]
     third = len(samples) // 3
-    assert _condemned_s(check, samples[:third], 1.0) is None
-    near = [(t, min(r, 30.0 + r / 10.0), p) for t, r, p in samples[third : 2 * third]]
-    told_s = _condemned_s(check, near, factor)
+    assert _condemned_s(history, samples[:third], 1.0) is None
+    near = [
+        sample._replace(value=min(sample.value, 30.0 + sample.value / 10.0))
+        for sample in samples[third : 2 * third]
+    ]
+    told_s = _condemned_s(history, near, factor)
     assert told_s is not None
-    assert told_s - near[0][0] <= 3.0
-    for time_s, range_m, place in samples[2 * third :]:
-        check.add(time_s, range_m, place)
-    assert not check.is_rejected
+    assert told_s - near[0].time_s <= 3.0
+    for sample in samples[2 * third :]:
+        history.add(sample)
+    assert not history.check.is_rejected
 
 
 def test_hovering_does_not_acquit() -> None:
-    check = _check()
-    assert _condemned_s(check, _samples(UWB, "radial", 8.0, 3.0, 1), 0.01) is not None
-    for time_s, range_m, _ in _samples(UWB, "hover", 8.0, 60.0, 2):
-        check.add(3.0 + time_s, 0.01 * range_m, (20.0, 20.0, 8.0))
-    assert check.is_rejected
+    history = _history()
+    assert _condemned_s(history, _samples(UWB, "radial", 8.0, 3.0, 1), 0.01) is not None
+    for time_s, range_m, *_ in _samples(UWB, "hover", 8.0, 60.0, 2):
+        history.add(Sample(3.0 + time_s, 0.01 * range_m, (20.0, 20.0, 8.0)))
+    assert history.check.is_rejected
