@@ -44,22 +44,22 @@ class Contact:
     newest_s: float | None = None
     """Time of the newest measurement of any kind; None: none yet."""
 
-    def after(self, measurement: RangingMeasurement, gate: Gate) -> Contact:
-        """Return the contact after a measurement with its bearing in ENU, which may be late."""
-        at_s, newest_s = measurement.measured_at_s, self.newest_s
-        has_range = measurement.range_m is not None and gate.agrees_in_range
-        has_bearing = measurement.has_direction and gate.agrees_in_bearing
-        has_power = measurement.power_dbm is not None and gate.agrees_in_power
-        if not (has_range or has_bearing or has_power):
+    def after(self, at_s: float, measured: tuple[bool, bool, bool], gate: Gate) -> Contact:
+        """Return the contact after a measurement, which may be late.
+
+        `measured` is true for each of range, direction and power that it has.
+        """
+        newest_s = self.newest_s
+        agrees = gate.agrees_in_range, gate.agrees_in_bearing, gate.agrees_in_power
+        counts = [has and fits for has, fits in zip(measured, agrees, strict=True)]
+        if True not in counts:
             return self
         is_gap = newest_s is not None and at_s - newest_s > GAP_S
-        agreeing = (0 if is_gap else self.agreeing) + gate.agrees
+        agreeing = (0 if is_gap else self.agreeing) + all(agrees)
         of_each = (self.range_s, self.bearing_s, self.power_s, newest_s)
         range_s, bearing_s, power_s, newest_s = [
             before_s if not is_new else at_s if before_s is None else max(before_s, at_s)
-            for before_s, is_new in zip(
-                of_each, (has_range, has_bearing, has_power, True), strict=True
-            )
+            for before_s, is_new in zip(of_each, (*counts, True), strict=True)
         ]
         return Contact(range_s, bearing_s, agreeing, power_s, newest_s)
 
@@ -250,14 +250,12 @@ class TrackIntegrity:
 
     def begin(self, measurement: RangingMeasurement) -> None:
         """Count the first measurement of an estimate, which agrees by definition."""
-        self.contact = self.contact.after(measurement, OPEN)
+        m = measurement
+        measured = m.range_m is not None, m.has_direction, m.power_dbm is not None
+        self.contact = self.contact.after(m.measured_at_s, measured, OPEN)
 
     def update(
-        self,
-        measurement: RangingMeasurement,
-        report: UpdateReport,
-        gate: Gate,
-        gate_inflation: Inflation,
+        self, at_s: float, report: UpdateReport, gate: Gate, gate_inflation: Inflation
     ) -> bool:
         """Count how a measurement agrees; return True if the track should be discarded.
 
@@ -266,8 +264,9 @@ class TrackIntegrity:
         shadow, and only flying out of it shows which is right. A range that is too long for any
         reflection is no detour, nor does the prediction of a vague estimate show one.
         """
-        at_s, (ranged, borne, *_) = measurement.measured_at_s, report.modalities
-        self.contact = self.contact.after(measurement, gate)
+        ranged, borne, _, *powers = report.modalities
+        measured = ranged is not None, borne is not None, powers not in ([], [None])
+        self.contact = self.contact.after(at_s, measured, gate)
         is_reflected = ranged is not None and ranged.weight < 1.0 and ranged.innovation > 0.0
         is_detour = is_reflected and gate.agrees_in_range and not gate.agrees_in_bearing
         if not (

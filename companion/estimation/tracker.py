@@ -223,7 +223,7 @@ class TargetTracker:
         )
         gate = bank.gate if is_proven else bank.gate.unarmed()
         update = integrity.update
-        if not bank.reports or update(measurement, bank.reports[0], gate, gate_inflation):
+        if not bank.reports or update(at_s, bank.reports[0], gate, gate_inflation):
             return self._restart(measurement, sensor_enu_m)
         passed = measurement if gate == OPEN else gate.passed(measurement)
         if passed is not measurement:

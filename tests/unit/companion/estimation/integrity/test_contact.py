@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from companion.domain import RangingMeasurement
 from companion.estimation.innovations import OPEN, Gate
 from companion.estimation.integrity import GAP_S, Contact
 
@@ -10,14 +9,13 @@ SHORT = Gate(passes_range=False, agrees_in_range=False)
 ASIDE = Gate(passes_bearing=False, agrees_in_bearing=False)
 
 
-def _both(time_s: float) -> RangingMeasurement:
-    return RangingMeasurement(1, time_s, range_m=50.0, bearing_enu_rad=0.3)
+BOTH = (True, True, False)
 
 
 def _heard(*times_s: float) -> Contact:
     contact = Contact()
     for time_s in times_s:
-        contact = contact.after(_both(time_s), OPEN)
+        contact = contact.after(time_s, BOTH, OPEN)
     return contact
 
 
@@ -31,19 +29,19 @@ def test_before_the_first_measurement_nothing_has_an_age() -> None:
 
 def test_each_kind_ages_by_itself() -> None:
     contact = _heard(1.0)
-    contact = contact.after(RangingMeasurement(1, 2.0, range_m=50.0), OPEN)
-    contact = contact.after(RangingMeasurement(1, 2.5, bearing_enu_rad=0.1), OPEN)
+    contact = contact.after(2.0, (True, False, False), OPEN)
+    contact = contact.after(2.5, (False, True, False), OPEN)
     assert contact.range_age_s(3.0) == 1.0
     assert contact.bearing_age_s(3.0) == 0.5
 
 
 def test_what_does_not_agree_makes_nothing_younger() -> None:
-    contact = _heard(1.0).after(_both(2.0), SHORT)
+    contact = _heard(1.0).after(2.0, BOTH, SHORT)
     assert contact.range_age_s(3.0) == 2.0
     assert contact.bearing_age_s(3.0) == 1.0
     assert contact.agreeing == 1
     nothing = Gate(agrees_in_range=False, agrees_in_bearing=False)
-    assert contact.after(_both(2.9), nothing) == contact
+    assert contact.after(2.9, BOTH, nothing) == contact
 
 
 def test_a_late_one_makes_nothing_older() -> None:
@@ -57,7 +55,7 @@ def test_after_a_gap_they_are_counted_anew() -> None:
     assert contact.agreeing_since_gap(1.2 + GAP_S) == 3
     assert contact.agreeing_since_gap(1.2 + GAP_S + 0.1) == 0
     assert contact.is_interrupted(1.2 + GAP_S + 0.1)
-    back = contact.after(_both(5.0), OPEN).after(_both(5.1), OPEN)
+    back = contact.after(5.0, BOTH, OPEN).after(5.1, BOTH, OPEN)
     assert back.agreeing_since_gap(5.1) == 2
-    half = contact.after(_both(5.0), ASIDE).after(_both(5.1), OPEN)
+    half = contact.after(5.0, BOTH, ASIDE).after(5.1, BOTH, OPEN)
     assert half.agreeing_since_gap(5.1) == 1

@@ -22,9 +22,8 @@ def _noted(integrity: TrackIntegrity, time_s: float, u: float) -> bool:
     """A range with this innovation, in sigma; a long one is taken for a reflection."""
     row = ModalityReport(u, 1.0, 1.0, u, 1.0 if u < 1.0 else 1.0 / u, 0.0)
     report = UpdateReport(STATE, (row, None, None), u * u, True)
-    measurement = RangingMeasurement(1, time_s, range_m=50.0)
     gate = Gate.of(report, NO_INFLATION)
-    return integrity.update(measurement, report, gate, integrity.gate_inflation(NO_INFLATION))
+    return integrity.update(time_s, report, gate, integrity.gate_inflation(NO_INFLATION))
 
 
 def _shadowed(
@@ -38,10 +37,9 @@ def _shadowed(
         u = 0.7 / 0.04
         bearing = ModalityReport(0.7, 0.04, 0.04, u, 1.0 / u, (own_rad / 0.04) ** 2)
         report = UpdateReport(STATE, (range_, bearing, None), u * u, True)
-        measurement = RangingMeasurement(1, time_s, range_m=58.0, bearing_enu_rad=0.7)
         gate = Gate(passes_bearing=False, agrees_in_bearing=False)
         gate_inflation = integrity.gate_inflation(NO_INFLATION)
-        given_up.append(integrity.update(measurement, report, gate, gate_inflation))
+        given_up.append(integrity.update(time_s, report, gate, gate_inflation))
     return given_up
 
 
