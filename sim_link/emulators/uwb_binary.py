@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,28 +24,22 @@ UCI_BOOT = bytes.fromhex("6001000101")
 SR150_ADDRESS = 0x1122
 
 
-@dataclass(frozen=True, slots=True)
-class UciRecord:
-    """One peer of a two-way session with short addresses."""
+def uci_record(
+    address: int,
+    status: int = OK,
+    path: int = LOS,
+    distance_cm: int = NO_DISTANCE_CM,
+    azimuth: tuple[float | None, int] = (None, 0),
+    elevation: tuple[float | None, int] = (None, 0),
+    rssi_dbm: float = 0.0,
+) -> bytes:
+    """Return one peer of a session with short addresses: 31 bytes.
 
-    address: int
-    status: int = OK
-    path: int = LOS
-    distance_cm: int = NO_DISTANCE_CM
-    azimuth_deg: float | None = None
-    elevation_deg: float | None = None
-    azimuth_fom: int = 100
-    elevation_fom: int = 100
-    rssi_dbm: float = 0.0
-
-    @property
-    def wire(self) -> bytes:
-        """31 bytes; a figure of merit of 0 means no angle."""
-        head = struct.pack("<HBBH", self.address, self.status, self.path, self.distance_cm)
-        angles = fom_angle(self.azimuth_deg, self.azimuth_fom)
-        angles += fom_angle(self.elevation_deg, self.elevation_fom)
-        tail = bytes((1, clamped(-2.0 * self.rssi_dbm, 0, 255)))
-        return head + angles + bytes(6) + tail + bytes(11)
+    An angle is in degrees, with its figure of merit; one of 0 means no angle.
+    """
+    head = struct.pack("<HBBH", address, status, path, distance_cm)
+    tail = bytes((1, clamped(-2.0 * rssi_dbm, 0, 255)))
+    return head + fom_angle(*azimuth) + fom_angle(*elevation) + bytes(6) + tail + bytes(11)
 
 
 def q9_7(angle_deg: float) -> int:
@@ -62,11 +55,11 @@ def fom_angle(angle_deg: float | None, fom: int) -> bytes:
 
 
 def session_info(
-    sequence: int, records: Sequence[UciRecord], session: int = SESSION, interval_ms: int = 200
+    sequence: int, records: Sequence[bytes], session: int = SESSION, interval_ms: int = 200
 ) -> bytes:
     """Return SESSION_INFO_NTF of a round, in as many packets as it takes."""
     head = struct.pack("<IIBIBBB", sequence, session, 0, interval_ms, 1, 0, 0)
-    payload = head + bytes(8) + bytes((len(records),)) + b"".join(r.wire for r in records)
+    payload = head + bytes(8) + bytes((len(records),)) + b"".join(records)
     return uci_packets(payload)
 
 
@@ -108,46 +101,38 @@ class FiraUci(Emulator):
         """Return a notification with all peers."""
         return session_info(self.next_number(), [self._record(each) for each in asked.answers])
 
-    def _record(self, answer: Answer) -> UciRecord:
+    def _record(self, answer: Answer) -> bytes:
         if answer.heard is None:
-            return UciRecord(answer.emitter_id, RX_TIMEOUT, UNKNOWN_PATH)
+            return uci_record(answer.emitter_id, RX_TIMEOUT, UNKNOWN_PATH)
         range_m, fom = answer.range_m, clamped(100.0 * answer.quality, 1, 100)
-        return UciRecord(
+        return uci_record(
             answer.emitter_id,
             OK,
             path_of(answer),
             NO_DISTANCE_CM if range_m is None else clamped(100.0 * range_m, 0, NO_DISTANCE_CM - 1),
-            degrees_of(answer.azimuth_rad),
-            degrees_of(answer.elevation_rad),
-            fom,
-            fom,
+            (degrees_of(answer.azimuth_rad), fom),
+            (degrees_of(answer.elevation_rad), fom),
             answer.power_dbm,
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Sr150Frame:
-    """36 bytes without a checksum."""
-
-    sequence: int
-    peer: int
-    status: int = OK
-    distance_cm: int = NO_DISTANCE_CM
-    path: int = LOS
-    azimuth_deg: float | None = None
-    elevation_deg: float | None = None
-    foms: tuple[int, int] = (90, 80)
-
-    @property
-    def wire(self) -> bytes:
-        """After a command byte; a figure of merit of 0 means no angle."""
-        head = (0x8E, 0x30, self.sequence, SESSION, 100, SR150_ADDRESS, self.peer, self.status)
-        azimuth, elevation = (q9_7(deg or 0.0) for deg in (self.azimuth_deg, self.elevation_deg))
-        azimuth_fom = 0 if self.azimuth_deg is None else self.foms[0]
-        elevation_fom = 0 if self.elevation_deg is None else self.foms[1]
-        body = struct.pack("<HBhhhh", self.distance_cm, self.path, azimuth, elevation, 0, 0)
-        foms = bytes((azimuth_fom, elevation_fom, 0, 0))
-        return struct.pack("<BHIIIHHB", *head) + body + foms + b"\x1b"
+def sr150_frame(
+    sequence: int,
+    peer: int,
+    status: int = OK,
+    distance_cm: int = NO_DISTANCE_CM,
+    path: int = LOS,
+    azimuth_deg: float | None = None,
+    elevation_deg: float | None = None,
+) -> bytes:
+    """Return 36 bytes without a checksum; a figure of merit of 0 means no angle."""
+    head = (0x8E, 0x30, sequence, SESSION, 100, SR150_ADDRESS, peer, status)
+    azimuth, elevation = (q9_7(deg or 0.0) for deg in (azimuth_deg, elevation_deg))
+    azimuth_fom = 0 if azimuth_deg is None else 90
+    elevation_fom = 0 if elevation_deg is None else 80
+    body = struct.pack("<HBhhhh", distance_cm, path, azimuth, elevation, 0, 0)
+    foms = bytes((azimuth_fom, elevation_fom, 0, 0))
+    return struct.pack("<BHIIIHHB", *head) + body + foms + b"\x1b"
 
 
 class Sr150(Emulator):
@@ -164,15 +149,15 @@ class Sr150(Emulator):
 
     def encode(self, asked: Round) -> bytes:
         """Return a frame for each peer."""
-        return b"".join(self._frame(answer).wire for answer in asked.answers)
+        return b"".join(self._frame(answer) for answer in asked.answers)
 
-    def _frame(self, answer: Answer) -> Sr150Frame:
+    def _frame(self, answer: Answer) -> bytes:
         sequence, range_m = self.next_number(), answer.range_m
         if answer.heard is None:
-            return Sr150Frame(sequence, answer.emitter_id, RX_TIMEOUT, path=NLOS)
+            return sr150_frame(sequence, answer.emitter_id, RX_TIMEOUT, path=NLOS)
         azimuth_deg = degrees_of(answer.azimuth_rad)
         elevation_deg = degrees_of(answer.elevation_rad)
-        return Sr150Frame(
+        return sr150_frame(
             sequence,
             answer.emitter_id,
             OK,
@@ -183,31 +168,22 @@ class Sr150(Emulator):
         )
 
 
-@dataclass(frozen=True, slots=True)
-class PansAnchor:
-    """One anchor in the answer that a tag gives."""
-
-    address: int
-    distance_mm: int
-    place_m: PositionEnu = (0.0, 0.0, 0.0)
-    distance_quality: int = 100
-    place_quality: int = 100
-
-    @property
-    def wire(self) -> bytes:
-        """Encoded distance and position of the anchor, 20 bytes."""
-        place_mm = (round(1e3 * metres) for metres in self.place_m)
-        head = struct.pack("<HIB", self.address, self.distance_mm, self.distance_quality)
-        return head + struct.pack("<iiiB", *place_mm, self.place_quality)
+def pans_anchor(
+    address: int, distance_mm: int, place_m: PositionEnu = (0.0, 0.0, 0.0), quality: int = 100
+) -> bytes:
+    """Return distance, its quality and position of one anchor in a tag's answer, 20 bytes."""
+    place_mm = (round(1e3 * metres) for metres in place_m)
+    head = struct.pack("<HIB", address, distance_mm, quality)
+    return head + struct.pack("<iiiB", *place_mm, 100)
 
 
 LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
 
 
-def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[PansAnchor]) -> bytes:
+def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[bytes]) -> bytes:
     """Return the answer to `dwm_loc_get`: no error, the tag's position, its anchors."""
     place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
-    distances = bytes((len(anchors),)) + b"".join(anchor.wire for anchor in anchors)
+    distances = bytes((len(anchors),)) + b"".join(anchors)
     return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(distances))) + distances
 
 
@@ -237,10 +213,10 @@ class PansTlv(Emulator):
     def encode(self, asked: Round) -> bytes:
         """Keep the round for the next request; return nothing."""
         anchors = [
-            PansAnchor(
+            pans_anchor(
                 answer.emitter_id,
                 clamped(1e3 * answer.range_m, 0, U32 - 1),
-                distance_quality=clamped(100.0 * answer.quality, 0, 100),
+                quality=clamped(100.0 * answer.quality, 0, 100),
             )
             for answer in asked.heard
             if answer.range_m is not None

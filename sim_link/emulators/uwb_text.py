@@ -80,26 +80,16 @@ class Pans(Emulator):
         return lines([dist_line(anchors, (*nowhere, 0))])
 
 
-@dataclass(frozen=True, slots=True)
-class QorvoRecord:
-    """One peer in a SESSION_INFO_NTF."""
-
-    address: int
-    status: str = "SUCCESS"
-    values: tuple[tuple[str, str], ...] = ()
-    """Keys and values behind the status."""
-
-    @property
-    def text(self) -> str:
-        """Return the record in its brackets."""
-        rest = "".join(f", {key}={value}" for key, value in self.values)
-        return f'[mac_address=0x{self.address:04x}, status="{self.status}"{rest}]'
+def qorvo_record(address: int, values: Mapping[str, str], status: str = "SUCCESS") -> str:
+    """Return one peer of a SESSION_INFO_NTF in its brackets, with the values behind the status."""
+    rest = "".join(f", {key}={value}" for key, value in values.items())
+    return f'[mac_address=0x{address:04x}, status="{status}"{rest}]'
 
 
-def session_info_ntf(block: int, records: Sequence[QorvoRecord]) -> str:
+def session_info_ntf(block: int, records: Sequence[str]) -> str:
     """Return the notification, one line longer than its peers."""
     head = f"SESSION_INFO_NTF: {{session_handle=1, sequence_number={block}, block_index={block}"
-    return f"{head}, n_measurements={len(records)}\n " + ";\n ".join(r.text for r in records) + "}"
+    return f"{head}, n_measurements={len(records)}\n " + ";\n ".join(records) + "}"
 
 
 class QorvoCli(Emulator):
@@ -120,16 +110,16 @@ class QorvoCli(Emulator):
         text = session_info_ntf(self.next_number(), records)
         return lines(text.split("\n"))
 
-    def _record(self, answer: Answer) -> QorvoRecord:
+    def _record(self, answer: Answer) -> str:
         if answer.heard is None or answer.range_m is None:
-            return QorvoRecord(answer.emitter_id, "RX_TIMEOUT")
-        values = [("distance[cm]", str(round(100.0 * answer.range_m)))]
+            return qorvo_record(answer.emitter_id, {}, "RX_TIMEOUT")
+        values = {"distance[cm]": str(round(100.0 * answer.range_m))}
         for side, angle_rad in (("az", answer.azimuth_rad), ("el", answer.elevation_rad)):
             if angle_rad is not None:
                 phase_deg = 180.0 * math.sin(angle_rad)
-                values.append((f"loc_{side}_pdoa", f"{phase_deg:.2f}"))
-                values.append((f"loc_{side}", f"{math.degrees(angle_rad):.2f}"))
-        return QorvoRecord(answer.emitter_id, "SUCCESS", tuple(values))
+                values[f"loc_{side}_pdoa"] = f"{phase_deg:.2f}"
+                values[f"loc_{side}"] = f"{math.degrees(angle_rad):.2f}"
+        return qorvo_record(answer.emitter_id, values)
 
 
 def js_frame(value: Mapping[str, object], *, after_colon: str = "") -> str:
@@ -177,28 +167,22 @@ class PdoaJs(Emulator):
         return {"a16": self.name_on_wire(answer.emitter_id), **ranged, **placed}
 
 
-@dataclass(frozen=True, slots=True)
-class AtRange:
-    """One AT+RANGE line of eight slots."""
-
-    tag: int
-    mask: int
-    sequence: int
-    ranges_cm: tuple[int, ...]
-    rssi_dbm: tuple[float, ...] | None = None
-    anchors: tuple[int, ...] | None = None
-    """Anchors by slot; -1: empty."""
-
-    @property
-    def text(self) -> str:
-        """Return the name as printed."""
-        text = f"AT+RANGE=tid:{self.tag},mask:{self.mask:02X},seq:{self.sequence}"
-        text += f",range:({','.join(map(str, self.ranges_cm))})"
-        if self.rssi_dbm is not None:
-            text += f",rssi:({','.join(f'{dbm:.2f}' for dbm in self.rssi_dbm)})"
-        if self.anchors is not None:
-            text += f",ancid:({','.join(map(str, self.anchors))})"
-        return text
+def at_range(
+    tag: int,
+    mask: int,
+    sequence: int,
+    ranges_cm: Sequence[int],
+    rssi_dbm: Sequence[float] | None = None,
+    anchors: Sequence[int] | None = None,
+) -> str:
+    """Return one AT+RANGE line of eight slots; anchor -1: the slot is empty."""
+    text = f"AT+RANGE=tid:{tag},mask:{mask:02X},seq:{sequence}"
+    text += f",range:({','.join(map(str, ranges_cm))})"
+    if rssi_dbm is not None:
+        text += f",rssi:({','.join(f'{dbm:.2f}' for dbm in rssi_dbm)})"
+    if anchors is not None:
+        text += f",ancid:({','.join(map(str, anchors))})"
+    return text
 
 
 class MakerfabsAt(Emulator):
@@ -220,8 +204,7 @@ class MakerfabsAt(Emulator):
             ranges_cm[slot] = clamped(100.0 * (answer.range_m or 0.0), 0, 65_535)
             anchors[slot] = answer.emitter_id
         mask, sequence = sum(1 << slot for slot in heard), self.next_number(256)
-        line = AtRange(0, mask, sequence, tuple(ranges_cm), None, tuple(anchors))
-        return lines([line.text])
+        return lines([at_range(0, mask, sequence, ranges_cm, anchors=anchors)])
 
     def hear(self, data: bytes) -> bytes:
         """Return OK for every command."""

@@ -9,7 +9,6 @@ Greear, iw-ct `event.c`; Android reference, `RangingResult`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from sim_link.emulators.emulator import (
     SIMULATION_BEGAN_S,
@@ -142,33 +141,23 @@ class FtmCsv(RangeLines):
         return [gtec_row(answer.emitter_id, range_m, frames)]
 
 
-@dataclass(frozen=True, slots=True)
-class IwBurst:
-    """Measurement of one peer as `iw` prints it, in its own units."""
-
-    mac: str
-    boot_ns: int
-    rssi: int
-    rtt_ps: int
-    variance_ps2: int
-    spread_ps: int
-
-    @property
-    def text(self) -> list[str]:
-        """Lines; a power is printed as if it had no sign."""
-        fields = {
-            "BURST_INDEX": 0,
-            "NUM_BURSTS_EXP": 0,
-            "BURST_DURATION": 0,
-            "FTMS_PER_BURST": 0,
-            "RSSI_AVG": self.rssi % U32,
-            "RSSI_SPREAD": 0,
-            "RTT_AVG": self.rtt_ps,
-            "RTT_VARIANCE": self.variance_ps2,
-            "RTT_SPREAD": self.spread_ps,
-        }
-        head = f"  Peer {self.mac}: status=0 (SUCCESS) @{self.boot_ns} tsf=0"
-        return [head, "    FTM", *(f"      {key}: {value}" for key, value in fields.items())]
+def iw_burst(
+    mac: str, boot_ns: int, rssi: int, rtt_ps: int, variance_ps2: int, spread_ps: int
+) -> list[str]:
+    """Return the lines of `iw` for one peer; a power is printed as if it had no sign."""
+    fields = {
+        "BURST_INDEX": 0,
+        "NUM_BURSTS_EXP": 0,
+        "BURST_DURATION": 0,
+        "FTMS_PER_BURST": 0,
+        "RSSI_AVG": rssi % U32,
+        "RSSI_SPREAD": 0,
+        "RTT_AVG": rtt_ps,
+        "RTT_VARIANCE": variance_ps2,
+        "RTT_SPREAD": spread_ps,
+    }
+    head = f"  Peer {mac}: status=0 (SUCCESS) @{boot_ns} tsf=0"
+    return [head, "    FTM", *(f"      {key}: {value}" for key, value in fields.items())]
 
 
 def iw_failure(mac: str, boot_ns: int, reason: str = "NO_RESPONSE (1)") -> list[str]:
@@ -203,7 +192,7 @@ class IwFtm(Emulator):
         spread_ps = 1e12 * round_trip_s(sigma_m)
         rtt_ps = round(1e12 * round_trip_s(heard.range_m))
         rssi, variance_ps2 = round(answer.power_dbm), round(spread_ps * spread_ps)
-        return IwBurst(mac, boot_ns, rssi, rtt_ps, variance_ps2, round(spread_ps)).text
+        return iw_burst(mac, boot_ns, rssi, rtt_ps, variance_ps2, round(spread_ps))
 
 
 ANDROID_HEADER = (
@@ -211,25 +200,20 @@ ANDROID_HEADER = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RttRow:
-    """A row that an Android program logs."""
+ATTEMPTED = 8
 
-    epoch_ms: int
-    bssid: str
-    distance_mm: int = 0
-    std_dev_mm: int = 0
-    rssi_dbm: int = -127
-    attempted: int = 8
-    successful: int = 0
-    ssid: str = "Lost"
 
-    @property
-    def text(self) -> str:
-        """Return the row, in the order of the header."""
-        ranged = f"{self.distance_mm},{self.std_dev_mm},{self.rssi_dbm}"
-        answered = f"{self.attempted},{self.successful}"
-        return f"{self.epoch_ms},1,{self.ssid},{self.bssid},{ranged},{answered}"
+def rtt_row(
+    epoch_ms: int,
+    bssid: str,
+    distance_mm: int = 0,
+    std_dev_mm: int = 0,
+    rssi_dbm: int = -127,
+    successful: int = 0,
+) -> str:
+    """Return a row that an Android program logs, in the order of the header."""
+    ranged = f"{distance_mm},{std_dev_mm},{rssi_dbm}"
+    return f"{epoch_ms},1,Lost,{bssid},{ranged},{ATTEMPTED},{successful}"
 
 
 class AndroidRtt(LineEmulator):
@@ -240,24 +224,15 @@ class AndroidRtt(LineEmulator):
     names = "{mac}"
     rate_hz = 5.0
     epoch_s = SIMULATION_BEGAN_S
-    ATTEMPTED = 8
     prints_silence = True
     banner = lines([ANDROID_HEADER])
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
         """Return a row, answered or not."""
-        return [self._row(answer, self.device_ms(asked.sent_at_s)).text]
-
-    def _row(self, answer: Answer, epoch_ms: int) -> RttRow:
+        epoch_ms = self.device_ms(asked.sent_at_s)
         mac, heard = mac_of(answer.emitter_id), answer.heard
         if heard is None or heard.range_m is None:
-            return RttRow(epoch_ms, mac)
-        return RttRow(
-            epoch_ms,
-            mac,
-            round(1e3 * heard.range_m),
-            round(1e3 * (heard.range_sigma_m or 0.0)),
-            round(answer.power_dbm),
-            self.ATTEMPTED,
-            clamped(self.ATTEMPTED * answer.quality, 2, self.ATTEMPTED),
-        )
+            return [rtt_row(epoch_ms, mac)]
+        range_mm, sigma_mm = round(1e3 * heard.range_m), round(1e3 * (heard.range_sigma_m or 0.0))
+        successful = clamped(ATTEMPTED * answer.quality, 2, ATTEMPTED)
+        return [rtt_row(epoch_ms, mac, range_mm, sigma_mm, round(answer.power_dbm), successful)]

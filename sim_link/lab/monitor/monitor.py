@@ -40,21 +40,7 @@ NOTICE_S = 2.0
 
 TITLES = {
     kind.name: kind.title
-    for kind in (
-        fence_invariants.SetpointsInside,
-        message_invariants.WithinEnvelope,
-        authority_invariants.OnlyWithAuthority,
-        fence_invariants.PlacesOnly,
-        message_invariants.FreshState,
-        message_invariants.KnownFrames,
-        authority_invariants.KeepsStreaming,
-        authority_invariants.SilentWithoutTick,
-        message_invariants.HonestCovariance,
-        message_invariants.OnlyProvedFrames,
-        message_invariants.Bounded,
-        message_invariants.Repeatable,
-        authority_invariants.FewTexts,
-    )
+    for kind in sorted(Invariant.__subclasses__(), key=lambda kind: int(kind.name[1:]))
 }
 
 

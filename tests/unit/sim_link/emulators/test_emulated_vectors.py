@@ -20,27 +20,27 @@ from sim_link.emulators.nlink import (
 from sim_link.emulators.power import rach_line
 from sim_link.emulators.printed_lines import sx1280_valid
 from sim_link.emulators.uwb_binary import (
-    PansAnchor,
-    Sr150Frame,
-    UciRecord,
+    pans_anchor,
     pans_location,
     session_info,
+    sr150_frame,
+    uci_record,
 )
 from sim_link.emulators.uwb_text import (
-    AtRange,
-    QorvoRecord,
+    at_range,
     dist_line,
     js_frame,
+    qorvo_record,
     session_info_ntf,
 )
 from sim_link.emulators.wifi import (
-    IwBurst,
-    RttRow,
     arduino_estimate,
     esp_estimate,
     esp_log,
     esp_session,
+    iw_burst,
     iw_failure,
+    rtt_row,
 )
 
 
@@ -127,7 +127,7 @@ def test_nooploop_iot_prints_azimuth_and_elevation() -> None:
 
 
 def test_fira_prints_a_round() -> None:
-    record = UciRecord(1, 0, 0, 235, 24.898, 12.0, 100, 95, -66.5)
+    record = uci_record(1, 0, 0, 235, (24.898, 100), (12.0, 95), -66.5)
     vector = (
         "62 00 00 38 07 00 00 00 2a 00 00 00 00 c8 00 00 00 01 00 00 00 00 00 00 00 00 00 00 "
         "01 01 00 00 00 eb 00 73 0c 64 00 06 5f 00 00 00 00 00 00 01 85 00 00 00 00 00 00 00 "
@@ -143,8 +143,8 @@ def test_an_sr150_prints_a_frame() -> None:
         "8e 30 00 01 00 00 00 2a 00 00 00 64 00 00 00 22 11 22 11 00 00 02 00 00 fb 80 02 00 "
         "00 00 00 5a 50 00 00 1b"
     )
-    frame = Sr150Frame(1, 0x1122, 0, 512, 0, -10.0, 5.0)
-    assert frame.wire == of_hex(vector)
+    frame = sr150_frame(1, 0x1122, 0, 512, 0, -10.0, 5.0)
+    assert frame == of_hex(vector)
 
 
 def test_pans_answers() -> None:
@@ -154,8 +154,8 @@ def test_pans_answers() -> None:
         "00 00 00 00 64"
     )
     anchors = [
-        PansAnchor(0x2F2F, 2200, (3.050, 2.680, 0.0)),
-        PansAnchor(0x2ED0, 2230, (3.020, 0.0, 0.0)),
+        pans_anchor(0x2F2F, 2200, (3.050, 2.680, 0.0)),
+        pans_anchor(0x2ED0, 2230, (3.020, 0.0, 0.0)),
     ]
     made = pans_location((1.760, 1.590, 0.510), 40, anchors)
     assert made == of_hex(vector)
@@ -185,12 +185,12 @@ def test_qorvo_prints_a_session() -> None:
         "rmt_el": "13.59",
         "RSSI[dBm]": "-66.5",
     }
-    assert session_info_ntf(0, [QorvoRecord(1, "SUCCESS", tuple(told.items()))]) == (
+    assert session_info_ntf(0, [qorvo_record(1, told)]) == (
         "SESSION_INFO_NTF: {session_handle=1, sequence_number=0, block_index=0, n_measurements=1\n"
         ' [mac_address=0x0001, status="SUCCESS", distance[cm]=91, loc_az_pdoa=65.35, loc_az=24.90,'
         " loc_el_pdoa=32.12, loc_el=12.01, rmt_az=22.84, rmt_el=13.59, RSSI[dBm]=-66.5]}"
     )
-    two = [QorvoRecord(1, "SUCCESS", (("distance[cm]", "245"),)), QorvoRecord(2, "RX_TIMEOUT")]
+    two = [qorvo_record(1, {"distance[cm]": "245"}), qorvo_record(2, {}, "RX_TIMEOUT")]
     assert session_info_ntf(7, two) == (
         "SESSION_INFO_NTF: {session_handle=1, sequence_number=7, block_index=7, n_measurements=2\n"
         ' [mac_address=0x0001, status="SUCCESS", distance[cm]=245];\n'
@@ -217,16 +217,16 @@ def test_makerfabs_prints_its_slots() -> None:
     nothing = (0,) * 8
     silence = (0.0,) * 8
     rssi_dbm = (0.0, 0.0, -77.93, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert AtRange(1, 4, 63, (0, 0, 30, 0, 0, 0, 0, 0), rssi_dbm).text == (
+    assert at_range(1, 4, 63, (0, 0, 30, 0, 0, 0, 0, 0), rssi_dbm) == (
         "AT+RANGE=tid:1,mask:04,seq:63,range:(0,0,30,0,0,0,0,0),"
         "rssi:(0.00,0.00,-77.93,0.00,0.00,0.00,0.00,0.00)"
     )
     four = (997, 1321, 911, 738, 0, 0, 0, 0)
-    assert AtRange(7, 15, 128, four, None, (0, 1, 2, 3, -1, -1, -1, -1)).text == (
+    assert at_range(7, 15, 128, four, None, (0, 1, 2, 3, -1, -1, -1, -1)) == (
         "AT+RANGE=tid:7,mask:0F,seq:128,range:(997,1321,911,738,0,0,0,0),"
         "ancid:(0,1,2,3,-1,-1,-1,-1)"
     )
-    assert AtRange(0, 0x80, 197, nothing, silence).text == (
+    assert at_range(0, 0x80, 197, nothing, silence) == (
         "AT+RANGE=tid:0,mask:80,seq:197,range:(0,0,0,0,0,0,0,0),"
         "rssi:(0.00,0.00,0.00,0.00,0.00,0.00,0.00,0.00)"
     )
@@ -257,8 +257,8 @@ def test_the_arduino_example_prints_a_distance(range_m: float, line: str) -> Non
 
 
 def test_iw_prints_a_burst_and_a_failure() -> None:
-    burst = IwBurst("xx:xx:xx:xx:xx:xx", 3_250_511_642_082, -50, 48_877, 3_814_209, 3_906)
-    assert burst.text == [
+    burst = iw_burst("xx:xx:xx:xx:xx:xx", 3_250_511_642_082, -50, 48_877, 3_814_209, 3_906)
+    assert burst == [
         "  Peer xx:xx:xx:xx:xx:xx: status=0 (SUCCESS) @3250511642082 tsf=0",
         "    FTM",
         "      BURST_INDEX: 0",
@@ -279,9 +279,9 @@ def test_iw_prints_a_burst_and_a_failure() -> None:
 
 def test_a_telephone_logs_a_row() -> None:
     bssid = "aa:bb:cc:dd:ee:ff"
-    row = RttRow(1_718_000_000_123, bssid, 5430, 120, -61, 8, 7)
-    assert row.text == "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,5430,120,-61,8,7"
-    assert RttRow(1_718_000_000_123, bssid).text.endswith(",0,0,-127,8,0")
+    row = rtt_row(1_718_000_000_123, bssid, 5430, 120, -61, 7)
+    assert row == "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,5430,120,-61,8,7"
+    assert rtt_row(1_718_000_000_123, bssid).endswith(",0,0,-127,8,0")
 
 
 def test_a_kraken_prints_a_direction_both_ways_round() -> None:
