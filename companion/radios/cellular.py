@@ -74,21 +74,17 @@ class _Cell(FieldDecoder):
     """Common part of the stations' decoders."""
 
     Options = CellOptions
-
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        assert isinstance(self.options, CellOptions)
-        self._cell = self.options
+    options: CellOptions
 
     def reading(
         self, range_m: float, step_m: float, rnti: int | None = None, time_s: float | None = None
     ) -> RadioReading:
         """Return a range that is uniform within a step, plus the detours of the site."""
         return RadioReading(
-            emitter=None if rnti is None or self._cell.name == "none" else f"0x{rnti:x}",
+            emitter=None if rnti is None or self.options.name == "none" else f"0x{rnti:x}",
             device_time_s=time_s,
-            range_m=range_m - self._cell.offset_steps * step_m,
-            range_sigma_m=math.hypot(step_m / math.sqrt(12.0), self._cell.multipath_sigma_m),
+            range_m=range_m - self.options.offset_steps * step_m,
+            range_sigma_m=math.hypot(step_m / math.sqrt(12.0), self.options.multipath_sigma_m),
         )
 
     def of_steps(self, steps: int, step_m: float, rnti: int | None = None) -> list[RadioReading]:
@@ -107,13 +103,13 @@ class SrsRan4gDecoder(_Cell):
     """Decoder of srsRAN_4G (LTE): `RACH:` lines of the console, `PRACH:` lines of the PHY log."""
 
     Options = SrsRan4gOptions
+    options: SrsRan4gOptions
     _RACH = re.compile(r"RACH: .*?\boffset=([0-9]{1,6}), temp_crnti=0x([0-9A-Fa-f]{1,4})")
     _PRACH = re.compile(r"PRACH: .*?\boffset=(-?[0-9]{1,5}\.[0-9]+) us\b")
     _MOST = re.compile(r"\bmax_offset=([0-9]{1,5}\.[0-9]+) us\b")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the range of an attach."""
-        assert isinstance(self.options, SrsRan4gOptions)
         if self.options.log == "mac" and (found := self._RACH.search(line)):
             return self.of_steps(int(found[1]), step_m(), int(found[2], 16))
         if self.options.log == "phy" and (found := self._PRACH.search(line)):
@@ -131,6 +127,7 @@ class SrsRanDecoder(_Cell):
     """Decoder of srsRAN Project (5G): metrics, a JSON document a line, and `RACH ind` log lines."""
 
     Options = SrsRanOptions
+    options: SrsRanOptions
     longest_line = 60_000
     _RACH = re.compile(r"RACH ind: ")
     _PREAMBLE = re.compile(
@@ -139,8 +136,6 @@ class SrsRanDecoder(_Cell):
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        assert isinstance(self.options, SrsRanOptions)
-        self._nr = self.options
         known = self.options.numerology
         steps = self.options.applied_steps or self.options.offset_steps
         if known is None and steps:
@@ -197,13 +192,13 @@ class SrsRanDecoder(_Cell):
         if residual_ns is None or residual_ns == 0.0:
             self.counts.refuse("not observed")
             return None
-        if not self._nr.loop_is_off:
+        if not self.options.loop_is_off:
             self.counts.refuse("residual: the station corrects the timing (loop_is_off)")
             return None
         if abs(residual_ns) > MOST_STEPS * LTE_STEP_S * 1e9 or rnti is None or rnti % 1.0:
             self.counts.refuse("timing advance is out of bounds")
             return None
-        range_m = residual_ns * 1e-9 * ONE_WAY_M_PER_S + self._nr.applied_steps * self._step_m
+        range_m = residual_ns * 1e-9 * ONE_WAY_M_PER_S + self.options.applied_steps * self._step_m
         return self.reading(range_m, self._step_m, int(abs(rnti)) & 0xFFFF, time_s)
 
 
@@ -244,16 +239,9 @@ class OaiDecoder(_Cell):
     """Tolerance in steps: the log's own value of it is 0.1 % off, and steps of numerologies differ
     by 2."""
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        self._forget()
-
-    def reset(self) -> None:
-        """Forget the format of the log, because another run may follow."""
-        super().reset()
-        self._forget()
-
-    def _forget(self) -> None:
+    def begin(self) -> None:
+        """Begin without the format of the log, because another run may follow."""
+        super().begin()
         self._numerology = self.options.numerology
         self._has_distances: bool | None = None
         """True if answers have the distance; None: there was none yet."""

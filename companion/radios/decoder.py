@@ -154,6 +154,10 @@ class RadioDecoder(ABC):
     def __init__(self, options: Params | None = None) -> None:
         self.options = self.Options() if options is None else options
         self.counts = DecoderCounts()
+        self.begin()
+
+    def begin(self) -> None:  # noqa: B027 -- most keep nothing
+        """Set what is kept of the stream to that of a line that was opened just now."""
 
     @abstractmethod
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
@@ -162,8 +166,9 @@ class RadioDecoder(ABC):
         `received_s` is the time of arrival on the companion's clock. Never raises on bad bytes.
         """
 
-    def reset(self) -> None:  # noqa: B027 -- most keep nothing
+    def reset(self) -> None:
         """Forget a partial frame, because the line was lost and came back."""
+        self.begin()
 
     def hello(self) -> bytes:
         """Return the bytes that start the radio's output, sent once the line is open."""
@@ -218,11 +223,11 @@ class LineDecoder(RadioDecoder):
     )
     """The mark, ANSI sequences (ECMA-48), and readline's marks about them."""
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
+    def begin(self) -> None:
+        """Begin without a partial line."""
+        super().begin()
         self._rest = b""
-        self._is_overlong = False
-        self._is_after_cr = False
+        self._is_overlong = self._is_after_cr = False
 
     @abstractmethod
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
@@ -251,11 +256,6 @@ class LineDecoder(RadioDecoder):
         self.counts.readings += len(readings)
         return readings
 
-    def reset(self) -> None:
-        """Forget a partial line."""
-        self._rest = b""
-        self._is_overlong = self._is_after_cr = False
-
     def _drop(self, count: int) -> None:
         self.counts.resync_bytes += count
         if not self._is_overlong:
@@ -272,8 +272,9 @@ class FrameDecoder(RadioDecoder):
     start: Pattern[bytes]
     """Pattern of a frame's beginning, also when the end of the data cuts it off."""
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
+    def begin(self) -> None:
+        """Begin without a partial frame."""
+        super().begin()
         self._rest = b""
 
     @abstractmethod
@@ -312,10 +313,6 @@ class FrameDecoder(RadioDecoder):
         self._rest = data[at:]
         counts.readings += len(readings)
         return readings
-
-    def reset(self) -> None:
-        """Forget a partial frame."""
-        self._rest = b""
 
 
 GROUP = "companion.radios"

@@ -148,22 +148,14 @@ class KrakenDecoder(RadioDecoder):
     """Base of the KrakenSDR decoders: selects new results of sufficient quality."""
 
     Options = KrakenOptions
+    options: KrakenOptions
     may_be_unsettled = True
     """True if results may be from a receiver that was being tuned."""
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        assert isinstance(self.options, KrakenOptions)
-        self._settings = self.options
-        self._channels = self._new_channels()
-
-    def reset(self) -> None:
-        """Forget a partial document and the channels: another receiver may answer next."""
-        super().reset()
-        self._channels = self._new_channels()
-
-    def _new_channels(self) -> _Channels:
-        return _Channels(self._settings.settle_s if self.may_be_unsettled else 0.0)
+    def begin(self) -> None:
+        """Begin without channels: another receiver may answer next."""
+        super().begin()
+        self._channels = _Channels(self.options.settle_s if self.may_be_unsettled else 0.0)
 
     def readings_of(self, result: Result | str, now_s: float) -> list[RadioReading]:
         """Return the reading of a result, if it is new and good enough; else count the reason."""
@@ -193,7 +185,7 @@ class KrakenDecoder(RadioDecoder):
         ]
 
     def _quality(self, result: Result) -> float:
-        best = self._settings.best_confidence
+        best = self.options.best_confidence
         if best is None:
             best = BEST_CONFIDENCE if result.checksum is None else 1.0
         return result.confidence / best
@@ -212,11 +204,11 @@ class KrakenDecoder(RadioDecoder):
             return tuned
         if result.is_overdriven:
             return "receiver is overdriven"
-        if result.is_line_array and not self._settings.accept_line_array:
+        if result.is_line_array and not self.options.accept_line_array:
             return "line array: front or back is not known"
-        if self._quality(result) * BEST_CONFIDENCE >= self._settings.min_confidence:
+        if self._quality(result) * BEST_CONFIDENCE >= self.options.min_confidence:
             return None
-        if self._settings.best_confidence is None and result.confidence <= OLD_CONFIDENCE:
+        if self.options.best_confidence is None and result.confidence <= OLD_CONFIDENCE:
             return "low confidence (firmware of 2022 or 2023? then set best_confidence to 2)"
         return "low confidence"
 
@@ -262,8 +254,9 @@ class KrakenXmlDecoder(KrakenDecoder):
     longest_document = 8192
     _ELEMENT = re.compile(r"<([A-Z_]{2,32})>\s*([^<>]{1,40}?)\s*</\1>")
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
+    def begin(self) -> None:
+        """Begin without a partial document."""
+        super().begin()
         self._rest = b""
 
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
@@ -278,11 +271,6 @@ class KrakenXmlDecoder(KrakenDecoder):
             self._rest = self._rest[excess:]
         self.counts.readings += len(readings)
         return readings
-
-    def reset(self) -> None:
-        """Forget a partial document as well."""
-        super().reset()
-        self._rest = b""
 
     def _read(self, document: bytes, now_s: float) -> list[RadioReading]:
         before, start, body = document.rpartition(b"<DATA>")

@@ -20,7 +20,6 @@ from typing import Annotated
 
 import msgspec
 
-from companion.domain import Params
 from companion.radios.decoder import RadioKind, RadioReading
 from companion.radios.kraken import (
     COMMON_SETTINGS,
@@ -65,8 +64,9 @@ class KrakenSocketDecoder(KrakenDecoder):
     _TOPOLOGY = re.compile(rb'^\{"sync_cmd":"TOPOLOGY:([A-Z]{2,8})"')
     _KNOWN = re.compile(rb'^\{"[a-z_]{3,32}":')
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
+    def begin(self) -> None:
+        """Begin without a partial frame; another receiver may answer."""
+        super().begin()
         self._rest, self._skip = b"", 0
         self._centre_hz: float | None = None
         self._is_line_array = False
@@ -75,12 +75,6 @@ class KrakenSocketDecoder(KrakenDecoder):
         """Send the token, if there is one, and request the two kinds of frames."""
         token = f"AUTH:{self.options.token}\n" if self.options.token else ""
         return f"{token}SUBSCRIBE:FFT,DOA\n".encode()
-
-    def reset(self) -> None:
-        """Forget a partial frame; another receiver may answer next."""
-        super().reset()
-        self._rest, self._skip = b"", 0
-        self._centre_hz, self._is_line_array = None, False
 
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
         """Return the readings of the frames that some bytes complete."""

@@ -54,9 +54,13 @@ class FormDecoder(FieldDecoder):
     """Decoder of lines of a few forms; the first that matches is used."""
 
     forms: ClassVar[tuple[LineForm, ...]]
+    introduction: ClassVar[re.Pattern[str] | None] = None
+    """Pattern of a line that identifies the module."""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the readings of the first matching form."""
+        if self.introduction is not None and self.introduction.search(line):
+            self.counts.is_introduced = True
         for each in self.forms:
             if each.pattern.search(line) is None:
                 continue
@@ -115,6 +119,7 @@ class Ryuw122Decoder(FormDecoder):
         form(r"\+ERR=[0-9]", "the module reports an error"),
         _AT_STATUS,
     )
+    introduction = re.compile(r"\+VER=RYUW122")
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
@@ -124,12 +129,6 @@ class Ryuw122Decoder(FormDecoder):
     def request(self) -> bytes:
         """Return the query of the tag, which it answers with the distance."""
         return f"AT+ANCHOR_SEND={self.options.tag},4,PING\r\n".encode() if self.options.tag else b""
-
-    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return the reading of a line; the version identifies the module."""
-        if "+VER=RYUW122" in line:
-            self.counts.is_introduced = True
-        return super().read_line(line, received_s)
 
 
 class Bu01Decoder(FormDecoder):
@@ -183,6 +182,7 @@ class PozyxDecoder(FormDecoder):
         form(r"^ERROR: ranging|^D,00", "ranging failed"),
         form(r"^D,(?:[0-9A-Fa-f]{2}){0,9}\s*$"),
     )
+    introduction = re.compile(r"^\s*D,43\s*$")  # the register WHO_AM_I
     GET_RANGE, DO_RANGING = "c7", "b5"
 
     def __init__(self, options: Params | None = None) -> None:
@@ -197,12 +197,6 @@ class PozyxDecoder(FormDecoder):
             return b""
         swapped = digits[2:] + digits[:2]
         return f"F,{self.GET_RANGE},{swapped},11\rF,{self.DO_RANGING},{swapped},1\r".encode()
-
-    def read_line(self, line: str, received_s: float) -> list[RadioReading]:
-        """Return the reading of a line; the register WHO_AM_I, 0x43, identifies the device."""
-        if line.strip() == "D,43":
-            self.counts.is_introduced = True
-        return super().read_line(line, received_s)
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
         """Return the reading of a sketch's fields, or of an answer's bytes."""

@@ -304,13 +304,9 @@ DECODER = msgspec.json.Decoder(Line)
 class NdjsonDecoder(LineDecoder):
     """Decoder of one measurement a line, of any emitter."""
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        self._beyond_turn = 0
-
-    def reset(self) -> None:
-        """Forget the stream's unit of angles: another program may send next."""
-        super().reset()
+    def begin(self) -> None:
+        """Begin with any unit of angles: another program may send next."""
+        super().begin()
         self._beyond_turn = 0
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:

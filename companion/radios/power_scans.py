@@ -84,16 +84,9 @@ class PowerScanDecoder(FormDecoder):
     _GATEWAY = re.compile(r'"(?:rxpk|rxInfo|rx_metadata)":')
     _AGE = re.compile(r"^\s*last seen: (?P<age_ms>[0-9]{1,9}) ms ago")
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        self._forget()
-
-    def reset(self) -> None:
-        """Forget a partial block as well."""
-        super().reset()
-        self._forget()
-
-    def _forget(self) -> None:
+    def begin(self) -> None:
+        """Begin without a partial block."""
+        super().begin()
         self._device: str | None = None
         self._idle_ms = "0"
         self._held: dict[str, str] | None = None

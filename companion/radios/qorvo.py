@@ -13,7 +13,6 @@ from typing import Annotated
 
 import msgspec
 
-from companion.domain import Params
 from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
 from companion.radios.fields import FieldDecoder, dbm, is_overflow, number
 
@@ -68,13 +67,9 @@ class QorvoCliDecoder(FieldDecoder):
 
     longest_line = MOST_RECORD_BYTES
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        self._record = ""
-
-    def reset(self) -> None:
-        """Forget a partial record, too."""
-        super().reset()
+    def begin(self) -> None:
+        """Begin without a partial record."""
+        super().begin()
         self._record = ""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:

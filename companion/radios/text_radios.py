@@ -208,6 +208,7 @@ class Sx1280Decoder(FieldDecoder):
     """Decoder of Semtech SX1280 ranging as RadioLib's and SX12XX-LoRa's examples print it."""
 
     Options = Sx1280Options
+    options: Sx1280Options
     _RADIOLIB = re.compile(
         r"\[SX128[0-9]\] Distance:\s*(-?[0-9]{1,9}\.?[0-9]*) meters(?: \(raw\))?$"
     )
@@ -215,9 +216,7 @@ class Sx1280Decoder(FieldDecoder):
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        assert isinstance(self.options, Sx1280Options)
-        self._bandwidth_khz = self.options.bandwidth_khz
-        if self._bandwidth_khz not in (None, *BANDWIDTHS_KHZ):
+        if self.options.bandwidth_khz not in (None, *BANDWIDTHS_KHZ):
             raise ConfigError("sx1280: bandwidth_khz: there are 406.25, 812.5 and 1625")
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
@@ -240,11 +239,11 @@ class Sx1280Decoder(FieldDecoder):
         if not re.fullmatch(r"[0-9A-Fa-f]{1,6}", register) or printed is None:
             return self.refused("torn line")
         raw, power_dbm = int(register, 16), dbm(after.get("RSSI", "").removesuffix("dBm"))
-        if self._bandwidth_khz is not None:
+        if self.options.bandwidth_khz is not None:
             signed = raw - RAW24 if raw >= RAW24 // 2 else raw
             return self.understood(
                 RadioReading(
-                    range_m=signed * SX1280_M_PER_STEP_KHZ / self._bandwidth_khz,
+                    range_m=signed * SX1280_M_PER_STEP_KHZ / self.options.bandwidth_khz,
                     power_dbm=power_dbm,
                 )
             )
@@ -276,7 +275,6 @@ class LinesDecoder(FieldDecoder):
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        assert isinstance(self.options, LinesOptions)
         self._frame = AngleFrame(self.options.frame)
         self._pattern = _compiled(self.options.pattern)
 
@@ -340,15 +338,11 @@ class SilabsAoaDecoder(FieldDecoder):
     _TAG = re.compile(r"/ble-[a-z]{1,4}-([0-9A-Fa-f]{12})")
     longest_object = 2048
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
+    def begin(self) -> None:
+        """Begin without a partial object."""
+        super().begin()
         self._tag: str | None = None
         self._object = ""
-
-    def reset(self) -> None:
-        """Forget a partial object as well."""
-        super().reset()
-        self._tag, self._object = None, ""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading that a line completes; it begins, continues or ends an object."""

@@ -60,6 +60,7 @@ class FtmCsvDecoder(FieldDecoder):
     """
 
     Options = FtmCsvOptions
+    options: FtmCsvOptions
     longest_line = 16_384
     _WORDS = re.compile(r"FTM Data: Raw RTT = .{1,40} Distance = (-?[0-9]{1,9}\.[0-9]+) meters")
     _MAC_FIRST = re.compile(
@@ -70,20 +71,14 @@ class FtmCsvDecoder(FieldDecoder):
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
-        assert isinstance(self.options, FtmCsvOptions)
         self._names = list(self.options.columns)
-        self._delimiter = self.options.delimiter
-        self._forget()
         problem = complain_of(self._names) if self._names else None
         if problem is not None:
             raise ConfigError(f"ftm_csv: columns: {problem}")
 
-    def reset(self) -> None:
-        """Forget the header: another radio may print next."""
-        super().reset()
-        self._forget()
-
-    def _forget(self) -> None:
+    def begin(self) -> None:
+        """Begin without a header: another radio may print next."""
+        super().begin()
         self._bars_unit: tuple[str, float] | None = None
         self._problem: str | None = None
         """Contradiction between the printed header and the given columns."""
@@ -101,11 +96,11 @@ class FtmCsvDecoder(FieldDecoder):
         return self._gtec(line)
 
     def _given(self, line: str) -> list[RadioReading]:
-        cells, count = columns(line, self._delimiter), len(self._names)
-        if len(cells) < count or (self._delimiter == "," and ";" in line):
+        cells, count = columns(line, self.options.delimiter), len(self._names)
+        if len(cells) < count or (self.options.delimiter == "," and ";" in line):
             return self.passed_over(line)
         is_cut = len(cells) > count and self._names[-1] in NUMBERS and "." not in cells[count - 1]
-        if is_cut and self._delimiter == "," and cells[count].isdecimal():
+        if is_cut and self.options.delimiter == "," and cells[count].isdecimal():
             return self.refused("decimal comma? If not, name the next column, too (`_`)")
         named = dict(zip(self._names, cells, strict=False))
         numbers = [n for n in self._names if n.removesuffix(HEX) in NUMBERS and named[n]]

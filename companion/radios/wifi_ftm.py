@@ -44,6 +44,7 @@ class Esp32FtmDecoder(FieldDecoder):
     """Decoder of the console of ESP-IDF's and Arduino's FTM examples, boot text too."""
 
     Options = Esp32FtmOptions
+    options: Esp32FtmOptions
     _IDF = re.compile(
         r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: Estimated RTT - [0-9]{1,10} nSec, "
         r"Estimated Distance - ([0-9]{1,9}\.[0-9]{2}) meters"
@@ -65,15 +66,9 @@ class Esp32FtmDecoder(FieldDecoder):
     }
     _STATUS = ("success", "unsupported", "rejected", "no response", "failed", "no valid", "ended")
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        assert isinstance(self.options, Esp32FtmOptions)
-        self._names_peer = self.options.emitter_from_log
-        self._forget()
-
-    def reset(self) -> None:
-        """Forget a partial session as well."""
-        super().reset()
+    def begin(self) -> None:
+        """Begin without a session."""
+        super().begin()
         self._forget()
 
     def _forget(self) -> None:
@@ -112,7 +107,7 @@ class Esp32FtmDecoder(FieldDecoder):
         problem = complain_of_unsigned(range_m)
         if problem is not None:
             return self.refused(problem)
-        peer = self._peer if self._names_peer else None
+        peer = self._peer if self.options.emitter_from_log else None
         return self.understood(
             RadioReading(
                 peer,
@@ -142,6 +137,7 @@ class IwFtmDecoder(FieldDecoder):
     """Decoder of `iw dev ... measurement ftm_request`, run after run; unknown keys are skipped."""
 
     Options = IwFtmOptions
+    options: IwFtmOptions
     _PEER = re.compile(
         rf"\s*Peer ({MAC.pattern}): status=([0-9]{{1,3}}) \(\w+\) @([0-9]{{1,19}}) tsf="
     )
@@ -159,15 +155,9 @@ class IwFtmDecoder(FieldDecoder):
         "bad parameters",
     )
 
-    def __init__(self, options: Params | None = None) -> None:
-        super().__init__(options)
-        assert isinstance(self.options, IwFtmOptions)
-        self._min_sigma_m = self.options.min_sigma_m
-        self._forget()
-
-    def reset(self) -> None:
-        """Forget a partial peer as well."""
-        super().reset()
+    def begin(self) -> None:
+        """Begin without a peer."""
+        super().begin()
         self._forget()
 
     def _forget(self) -> None:
@@ -211,7 +201,7 @@ class IwFtmDecoder(FieldDecoder):
         if abs(range_m) > LONGEST_M:
             return self.refused("distance is out of bounds")
         spread_m = math.sqrt(max(keys.get(variance, 0), 0)) * to_m
-        sigma_m = max(spread_m, self._min_sigma_m) or None
+        sigma_m = max(spread_m, self.options.min_sigma_m) or None
         attempts, successes = keys.get("NUM_FTMR_ATTEMPTS"), keys.get("NUM_FTMR_SUCCESSES")
         return self.understood(
             RadioReading(
