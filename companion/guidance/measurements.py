@@ -197,9 +197,9 @@ class RangingListener:
     def fusion(self, queued: Queued) -> Steps[FusionReport]:
         """Fuse a measurement, seen from the vehicle position at its time."""
         (measurement, now_s, own), emitters = queued, self._emitters
-        if not self._track.is_trusted_at(measurement.measured_at_s):
-            return emitters.current.reject(RejectReason.OWN_JUMP)
         sensor_enu_m = self._track.position_at(measurement.measured_at_s)
+        if sensor_enu_m is None and not self._track.is_trusted_at(measurement.measured_at_s):
+            return emitters.current.reject(RejectReason.OWN_JUMP)
         is_turned = measurement.bearing_body_rad is not None
         if is_turned or self._is_array:
             attitude = self._track.attitude_at(measurement.measured_at_s) if is_turned else None

@@ -64,9 +64,11 @@ class VehicleTrack:
 
     def shift(self, jump_enu_m: PositionEnu) -> None:
         """Move earlier states along with a position that jumped."""
+        de, dn, du = jump_enu_m
         self._states = deque(
-            replace(state, position_enu_m=_step(state.position_enu_m, jump_enu_m, 1.0))
+            replace(state, position_enu_m=(e + de, n + dn, u + du))
             for state in self._states
+            for e, n, u in (state.position_enu_m,)
         )
         self.latest = self._states[-1] if self._states else None
 
@@ -105,28 +107,31 @@ class VehicleTrack:
             self._attitudes.popleft()
 
     def position_at(self, time_s: float) -> PositionEnu | None:
-        """Return the position at a time, east-north-up metres, or None outside the history.
+        """Return the position at a time, metres; None outside the history, and about a jump.
 
         Positions are interpolated linearly, and extrapolated a little by the newest velocity.
         """
-        states = self._states
-        if not states or time_s < states[0].time_s:
+        states, (jump_s, settled_s) = self._states, self._distrusted_s
+        if not states or time_s < states[0].time_s or jump_s < time_s < settled_s:
             return None
         index = len(states)  # a measurement is about as old as the newest states
         while states[index - 1].time_s > time_s:
             index -= 1
         before = states[index - 1]
+        (e, n, u), share = before.position_enu_m, time_s - before.time_s
         if index == len(states):
-            ahead_s = time_s - before.time_s
-            if ahead_s > MAX_EXTRAPOLATION_S:
+            if share > MAX_EXTRAPOLATION_S:
                 return None
-            return _step(before.position_enu_m, before.velocity_enu_mps, ahead_s)
-        after = states[index]
-        gap_s = after.time_s - before.time_s
-        if gap_s > MAX_GAP_S:
-            return None
-        way_m = _step(after.position_enu_m, before.position_enu_m, -1.0)
-        return _step(before.position_enu_m, way_m, (time_s - before.time_s) / gap_s)
+            de, dn, du = before.velocity_enu_mps
+        else:
+            after = states[index]
+            gap_s = after.time_s - before.time_s
+            if gap_s > MAX_GAP_S:
+                return None
+            share /= gap_s
+            east_m, north_m, up_m = after.position_enu_m
+            de, dn, du = east_m - e, north_m - n, up_m - u
+        return (e + share * de, n + share * dn, u + share * du)
 
     def attitude_at(self, time_s: float) -> Attitude | None:
         """Return the attitude at a time, or None outside the history."""
@@ -149,12 +154,6 @@ class VehicleTrack:
             (roll0, pitch0), (roll1, pitch1) = before.tilt_rad, after.tilt_rad
             tilt_rad = (between(roll0, roll1), between(pitch0, pitch1))
         return Attitude(between(before.yaw_ned_rad, after.yaw_ned_rad), tilt_rad)
-
-
-def _step(place: PositionEnu, way: PositionEnu, share: float) -> PositionEnu:
-    """Return a position displaced by a share of a vector."""
-    (e, n, u), (de, dn, du) = place, way
-    return (e + share * de, n + share * dn, u + share * du)
 
 
 def is_plausible(state: VehicleState) -> bool:

@@ -109,9 +109,10 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     track.add_attitude(10.0, Attitude(3.0))
     track.shift((7.0, -1.0, 2.0))
     track.turn(0.5)
-    track.distrust(10.0, 12.1)
     track.add(state(10.1, (7.0, -1.0, 22.0)))
     assert track.position_at(10.05) == pytest.approx((7.0, -1.0, 22.0))
+    track.distrust(10.0, 12.1)
+    assert track.position_at(10.05) is None
     attitude = track.attitude_at(10.0)
     assert attitude is not None
     assert attitude.yaw_ned_rad == pytest.approx(3.5 - 2.0 * math.pi)
