@@ -31,10 +31,10 @@ from companion.link.gcs_services import (
     TunableBook,
 )
 from companion.link.inbound import TIMESYNC, UNREAD, is_time_question
-from companion.link.intake import Authenticity, FloodShield, Intake
+from companion.link.intake import HEARTBEAT, Authenticity, FloodShield, Intake
 from companion.link.interface import EndpointParams, InputRecorder, Journal, LinkRole, LinkSpec
 from companion.link.outbound import Ids
-from companion.link.outlet import COMPONENT_ID, Outlet
+from companion.link.outlet import COMPONENT_ID, NAMED_VALUE_FLOAT, ONBOARD_IDS, Outlet
 from companion.link.presence import Presence
 from companion.link.quality import LinkAlarms, LinkHealth, RadioWatch
 from companion.link.radio_stage import RadioStage
@@ -155,7 +155,10 @@ class CompanionEndpoint:
             _, sender, number = header
             is_proved = not self.authenticity.is_on or is_signed(frame)
             is_ours = sender == outlet.own_ids
-            if is_proved and outlet.note_sender(frame, sender, number, now_s, self._may_move_aside):
+            may_be_rival = is_ours or sender[1] in ONBOARD_IDS or number == NAMED_VALUE_FLOAT
+            if (may_be_rival and is_proved) and outlet.note_sender(
+                frame, sender, number, now_s, self._may_move_aside
+            ):
                 self.executor.handle(events.IdConflictHeard(now_s), now_s)
             if is_ours:
                 continue
@@ -318,10 +321,11 @@ class CompanionEndpoint:
             if is_proved:
                 self.executor.note_unread(sender, sequence, number, peer, now_s)
             return
-        message = self._intakes[chunk.link].codec.decode_proved(frame)
+        message, bound = self._intakes[chunk.link].codec.decode_proved(frame), binding.bound
         if message is None or not is_proved:
             return
-        is_ours = binding.recognise(message, peer, now_s)
+        is_autopilot = bound is None or sender == bound.ids or number == HEARTBEAT
+        is_ours = is_autopilot and binding.recognise(message, peer, now_s)
         if (binding.binds, binding.problem) != self._noted_binding:
             self._note_binding(now_s)
         if is_ours:

@@ -92,6 +92,8 @@ SPARE_IDS = (
     mavlink.MAV_COMP_ID_ONBOARD_COMPUTER4,
 )
 ONBOARD_IDS = frozenset((COMPONENT_ID, *SPARE_IDS))
+NAMED_VALUE_FLOAT = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+"""Message of the mark by which companions of this kind recognise each other."""
 RIVALS = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -212,17 +214,18 @@ class Outlet:
         """Note the sender of a verified frame; return True if it is a second companion.
 
         Otherwise, if our component id is taken, another one is chosen where it `may_move`.
-        `sender` and the message's `number` are those in the frame's header.
+        `sender` and the message's `number` are those in the frame's header. Only frames with our
+        ids, those of an onboard computer, and NAMED_VALUE_FLOATs can be a companion's.
         """
         if sender[0] != self.own_ids[0]:
             return False
         is_same = sender == self.own_ids
-        has_mark = number == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT and is_marked(frame)
+        has_mark = number == NAMED_VALUE_FLOAT and is_marked(frame)
         is_beside = sender[1] in ONBOARD_IDS
         if not is_same:
             self._heard_ids.add(sender)
             if not (is_beside or has_mark):
-                return False  # the autopilot's, mostly
+                return False
         is_echo = self.own_frames.is_ours(frame)
         if (is_same or is_beside) and not is_echo:
             self._neighbour_s = now_s

@@ -19,7 +19,6 @@ from dataclasses import replace
 from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
-from companion.geometry.coordinates import bearing_enu_from_ned
 from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.link.intake import RateLimit
@@ -187,11 +186,9 @@ def ranging_from_message(message: Message, measured_at_s: float) -> RangingMeasu
     elevation_rad, elevation_sigma_rad, power_dbm = _or_none(
         message.elevation, message.elevation_std, message.power
     )
-    bearing_enu_rad = bearing_rad
-    if (
-        abs(message.bearing) <= MAX_BEARING_RAD
-    ):  # a larger one is most likely in degrees, and rejected later
-        bearing_enu_rad = bearing_enu_from_ned(message.bearing)
+    bearing_enu_rad = bearing_rad  # one in degrees stays, and is rejected later
+    if abs(message.bearing) <= MAX_BEARING_RAD:
+        bearing_enu_rad = math.remainder(math.pi / 2.0 - message.bearing, math.tau)
     return RangingMeasurement(
         emitter_id=message.emitter_id,
         measured_at_s=measured_at_s,

@@ -128,7 +128,8 @@ class OffsetFilter:
     ) -> None:
         self.rate: float = 0.0 if before is None else before.rate
         """Growth of the offset, seconds per second."""
-        self._offset_s, self._at_s = offset_s, at_s
+        self.offset_s, self.updated_s = offset_s, at_s
+        """Offset at the latest exchange, and the time of that on our clock."""
         self._offset_var, self._covar = sigma_s**2, 0.0
         self._rate_var: float = CRYSTAL**2 if before is None else before._rate_var
         self.max_rate = MAX_RATE
@@ -138,11 +139,11 @@ class OffsetFilter:
 
     def at_s(self, time_s: float) -> float:
         """Return the offset at a time on our clock."""
-        return self._offset_s + self.rate * (time_s - self._at_s)
+        return self.offset_s + self.rate * (time_s - self.updated_s)
 
     def sigma_s(self, time_s: float) -> float:
         """Return the standard deviation of the offset at a time."""
-        return math.sqrt(self._foretold(max(0.0, time_s - self._at_s))[0])
+        return math.sqrt(self._foretold(max(0.0, time_s - self.updated_s))[0])
 
     @property
     def steady_rate(self) -> Rate:
@@ -165,7 +166,7 @@ class OffsetFilter:
 
     def update(self, offset_s: float, at_s: float, sigma_s: float) -> bool:
         """Process an exchange; return False if it deviates too much, and changed nothing."""
-        passed_s = max(0.0, at_s - self._at_s)
+        passed_s = max(0.0, at_s - self.updated_s)
         innovation_s = offset_s - self.at_s(at_s)
         offset_var, covar = self._foretold(passed_s)
         innovation_var = offset_var + sigma_s**2
@@ -178,10 +179,10 @@ class OffsetFilter:
             innovation_var = offset_var + sigma_s**2
         self._surprise_s = innovation_s if is_surprise else 0.0
         gain, rate_gain = offset_var / innovation_var, covar / innovation_var
-        self._offset_s = self.at_s(at_s) + gain * innovation_s
+        self.offset_s = self.at_s(at_s) + gain * innovation_s
         rate = self.rate + rate_gain * innovation_s
         self.rate = min(self.max_rate, max(-self.max_rate, rate))
-        self._at_s = max(self._at_s, at_s)
+        self.updated_s = max(self.updated_s, at_s)
         self._rate_var += CRYSTAL**2 * passed_s - rate_gain * covar
         self._offset_var = (1.0 - gain) * offset_var
         self._covar = (1.0 - gain) * covar
@@ -260,7 +261,8 @@ class ClockSync:
         """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None
         """Shortest round trip of the latest exchanges, seconds; None before the first one."""
-        self._filter: OffsetFilter | None = None
+        self.filter: OffsetFilter | None = None
+        """None before the first exchange."""
         self._scatter = ExchangeScatter()
         self.pace = ClockPace()
         self._used = 0
@@ -277,16 +279,16 @@ class ClockSync:
 
     def offset_at_s(self, now_s: float) -> float | None:
         """Return our time minus the autopilot's, seconds, at a time; None while unknown."""
-        return None if self._filter is None else self._filter.at_s(now_s)
+        return None if self.filter is None else self.filter.at_s(now_s)
 
     @property
     def rate(self) -> Rate:
         """Growth of the offset, positive where the autopilot's clock is slow."""
-        return NO_RATE if self._filter is None else self._filter.steady_rate
+        return NO_RATE if self.filter is None else self.filter.steady_rate
 
     def is_known(self, now_s: float) -> bool:
         """Return True if recent exchanges agreed, so that the offset is accurate."""
-        return self._filter is not None and self._filter.sigma_s(now_s) <= KNOWN_SIGMA_S
+        return self.filter is not None and self.filter.sigma_s(now_s) <= KNOWN_SIGMA_S
 
     def agrees_since(self, time_s: float) -> bool:
         """Return True if five exchanges after a time all agreed."""
@@ -354,7 +356,7 @@ class ClockSync:
         self._open.clear()
         self._round_trips.clear()
         self.round_trip_s = None
-        self._filter = None
+        self.filter = None
         self._scatter, self.pace = ExchangeScatter(), ClockPace()
         self._used = 0
         self._agreed_s.clear()
@@ -374,25 +376,25 @@ class ClockSync:
 
     def _is_below(self, at_s: float) -> bool:
         """Return True if recent exchanges deviate to the side to which no answer is dated."""
-        if not self._deviating or self._filter is None:
+        if not self._deviating or self.filter is None:
             return False
         first_s, first_offset_s = self._deviating[0]
         is_late = at_s - first_s <= PACE_WINDOW_S
-        return is_late and first_offset_s < self._filter.at_s(first_s)
+        return is_late and first_offset_s < self.filter.at_s(first_s)
 
     def _take(self, offset_s: float, at_s: float, sigma_s: float) -> None:
-        if self._filter is None:
+        if self.filter is None:
             first_sigma_s = sigma_s + (self.round_trip_s or 0.0) / 4.0
-            self._filter, self._used = OffsetFilter(offset_s, at_s, first_sigma_s), 1
+            self.filter, self._used = OffsetFilter(offset_s, at_s, first_sigma_s), 1
             return
-        self._filter.max_rate = MAX_RATE if self.pace.wrong(at_s) is None else MAX_PACE
-        if self._filter.update(offset_s, at_s, sigma_s):
+        self.filter.max_rate = MAX_RATE if self.pace.wrong(at_s) is None else MAX_PACE
+        if self.filter.update(offset_s, at_s, sigma_s):
             self._used += 1
             self._agreed_s.append(at_s)
             if not self._is_below(at_s):
                 self._deviating.clear()
             return
-        if not 0.0 < offset_s - self._filter.at_s(at_s) <= DATED_BACK_S:
+        if not 0.0 < offset_s - self.filter.at_s(at_s) <= DATED_BACK_S:
             self._agreed_s.clear()
         if self._deviating:
             first_s, first_offset_s = self._deviating[0]
@@ -402,9 +404,9 @@ class ClockSync:
         self._deviating.append((at_s, offset_s))
         if len(self._deviating) >= RESET_AFTER:
             (begun_s, begun_offset_s), *others = self._deviating
-            self._filter = OffsetFilter(begun_offset_s, begun_s, sigma_s, self._filter)
+            self.filter = OffsetFilter(begun_offset_s, begun_s, sigma_s, self.filter)
             self._used = 1
             for later_s, later_offset_s in others:
-                self._filter.update(later_offset_s, later_s, sigma_s)
+                self.filter.update(later_offset_s, later_s, sigma_s)
             self._deviating.clear()
             self.resets += 1

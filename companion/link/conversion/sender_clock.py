@@ -334,6 +334,8 @@ class VehicleClock:
         """Shortest delay of a stamp when both last agreed; negative where answers are dated
         back."""
         self._apart_since_s: float | None = None
+        self.wild_rate: Rate | None = None
+        """Clock rate from the time exchange if it exceeds `MAX_RATE`, else None."""
         self._resets = sync.resets
         self._slipped_s = -math.inf
         """Time of the latest reported slip."""
@@ -345,18 +347,14 @@ class VehicleClock:
         and is used if one way takes no longer than both: otherwise it is of another clock.
         """
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
-        by_exchange_s = self.sync.offset_at_s(now_s)
-        if by_arrival_s is None or by_exchange_s is None:
+        exchange = self.sync.filter
+        if by_arrival_s is None or exchange is None:
             return by_arrival_s
+        # as `exchange.at_s`, without two calls for every stamp
+        by_exchange_s = exchange.offset_s + exchange.rate * (now_s - exchange.updated_s)
         delay_s, round_trip_s = by_arrival_s - by_exchange_s, self.sync.round_trip_s
         is_way = round_trip_s is not None and 0.0 <= delay_s <= round_trip_s + CLOCK_TOLERANCE_S
         return by_exchange_s if is_way else by_arrival_s
-
-    @property
-    def wild_rate(self) -> Rate | None:
-        """Clock rate from the time exchange if it exceeds `MAX_RATE`, else None."""
-        rate = self._stamps.timebase.known_rate
-        return rate if rate is not None and abs(rate.growth) > MAX_RATE else None
 
     @property
     def is_wild(self) -> bool:
@@ -386,7 +384,7 @@ class VehicleClock:
         """Forget its stamps, because the exchange of times showed that it restarted."""
         self._stamps = SenderClock()
         self._is_same_clock = False
-        self._apart_since_s = None
+        self._apart_since_s = self.wild_rate = None
         self.slips += 1
 
     def _follow_exchange(self, now_s: float) -> bool:
@@ -399,13 +397,15 @@ class VehicleClock:
         offset_s, round_trip_s = self.sync.offset_at_s(now_s), self.sync.round_trip_s
         is_known = self.sync.is_known(now_s)
         if by_arrival_s is None or offset_s is None or round_trip_s is None or not is_known:
-            self._stamps.timebase.known_rate = self._apart_since_s = None
+            self._stamps.timebase.known_rate = self._apart_since_s = self.wild_rate = None
             return False
         delay_s = by_arrival_s - offset_s
         half_s = round_trip_s / 2.0 + CLOCK_TOLERANCE_S
         if not self._is_same_clock and -DATED_BACK_S <= delay_s <= round_trip_s + half_s:
             self._is_same_clock, self._delay_s = True, delay_s
-        self._stamps.timebase.known_rate = self.sync.rate if self._is_same_clock else None
+        rate = self.sync.rate if self._is_same_clock else None
+        self._stamps.timebase.known_rate = rate
+        self.wild_rate = rate if rate is not None and abs(rate.growth) > MAX_RATE else None
         shortest_s = min(0.0, self._delay_s) - half_s
         if not self._is_same_clock or shortest_s <= delay_s <= round_trip_s + half_s:
             self._apart_since_s, self._delay_s = None, max(-half_s, delay_s)
