@@ -20,7 +20,7 @@ from companion.geometry.coordinates import LocalOrigin, wrap_pi
 from companion.geometry.polygons import Point, depth_m
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
-from sim_link.autopilot.estimator import EstimatedMotion, Estimator
+from sim_link.autopilot.estimator import EstimatedMotion, Estimator, Kinematics
 from sim_link.autopilot.mission_executor import MissionRun
 from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import (
@@ -30,7 +30,7 @@ from sim_link.autopilot.protocols.plan_items import (
     PlanItem,
 )
 from sim_link.autopilot.scenario import PROJECTION_OF, BatteryParams, Scenario
-from sim_link.world.point_mass import Kinematics, PointMass
+from sim_link.world.point_mass import PointMass
 
 FULL_CELL_MV, EMPTY_CELL_MV, CELLS = 4200, 3500, 4
 HOVER_CURRENT_CA = 1800

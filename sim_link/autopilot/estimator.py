@@ -171,6 +171,9 @@ class EstimatedMotion:
         return self._body.drift_mps
 
 
+Kinematics = PointMass | EstimatedMotion
+"""Position and motion of a vehicle: the truth, or the autopilot's estimate."""
+
 REACQUIRE_RATE_PER_S = 1.0
 """Rate at which the drift of a loss decays once there is a fix again, per s."""
 GOOD_RATIO, BLIND_RATIO = 0.05, 0.6

@@ -14,9 +14,9 @@ from companion.domain import PositionEnu
 from companion.geometry.coordinates import wrap_pi
 from companion.geometry.polygons import Point
 from sim_link.autopilot.control_inputs import DEAD_ZONE, Setpoint, Sticks, turned
+from sim_link.autopilot.estimator import Kinematics
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
 from sim_link.world.point_mass import (
-    Kinematics,
     MulticopterParams,
     approach_speed_mps,
     approach_velocity,

@@ -20,7 +20,7 @@ frame to those in the outer one; `seen_from` is its transpose.
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, NamedTuple
 
 import msgspec
 
@@ -109,38 +109,6 @@ class WindParams(Params, frozen=True):
     def blows(self) -> bool:
         """True if there is any wind."""
         return (self.east_mps, self.north_mps, self.gust_sigma_mps) != (0.0, 0.0, 0.0)
-
-
-class Kinematics(Protocol):
-    """Position and motion of a vehicle: the truth, or the autopilot's estimate."""
-
-    @property
-    def position_enu_m(self) -> PositionEnu:
-        """Local east, north and up."""
-
-    @property
-    def velocity_enu_mps(self) -> PositionEnu:
-        """Local east, north and up."""
-
-    @property
-    def yaw_ned_rad(self) -> float:
-        """Clockwise from north."""
-
-    @property
-    def ground_up_m(self) -> float:
-        """Height of the ground."""
-
-    @property
-    def height_m(self) -> float:
-        """Height above the ground."""
-
-    @property
-    def is_on_ground(self) -> bool:
-        """True if the vehicle touches the ground."""
-
-    @property
-    def drift_mps(self) -> float:
-        """Horizontal speed that the wind adds to every command."""
 
 
 class PointMass:
