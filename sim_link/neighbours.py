@@ -13,15 +13,14 @@ import math
 import msgspec
 
 from companion.domain import FlightMode, PositionEnu
-from companion.geometry.coordinates import ned_from_enu
 from companion.mav.codec import MavCodec
-from companion.mav.dialect import POSITION_ONLY, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk, Endpoint
 from sim_link.autopilot.ardupilot.firmware_profile import GUIDED
 from sim_link.autopilot.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import OtherVehicle
-from sim_link.autopilot.other_senders import PAYLOAD_ID
+from sim_link.autopilot.other_senders import PAYLOAD_ID, setpoint_at
 from sim_link.autopilot.px4.flavour import Px4Flavour
 from sim_link.autopilot.scenario import Scenario
 
@@ -100,16 +99,7 @@ class Neighbour:
 
     def _stay(self, now_s: float) -> None:
         """A setpoint of its own companion: here."""
-        north, east, down = ned_from_enu(self.setup.place_enu_m)
-        message = mavlink.MAVLink_set_position_target_local_ned_message(
-            round(now_s * 1e3),
-            self.setup.system_id,
-            1,
-            mavlink.MAV_FRAME_LOCAL_NED,
-            POSITION_ONLY,
-            *(north, east, down),
-            *(0.0,) * 8,
-        )
+        message = setpoint_at(self.setup.place_enu_m, self.setup.system_id, now_s)
         self.sim.receive(Chunk(0, self._codec.encode(message), None), now_s)
         self._own_setpoints += 1
 

@@ -80,13 +80,10 @@ def attitude(vehicle: SimVehicle) -> Fields:
 
 
 def _quaternion(vehicle: SimVehicle) -> tuple[float, float, float, float]:
-    roll, pitch = _roll_and_pitch(vehicle)
+    (roll, pitch), yaw = _roll_and_pitch(vehicle), vehicle.aircraft.heading_ned_rad
     cr, sr = math.cos(roll / 2.0), math.sin(roll / 2.0)
     cp, sp = math.cos(pitch / 2.0), math.sin(pitch / 2.0)
-    cy, sy = (
-        math.cos(vehicle.aircraft.heading_ned_rad / 2.0),
-        math.sin(vehicle.aircraft.heading_ned_rad / 2.0),
-    )
+    cy, sy = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
     return (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
@@ -105,10 +102,8 @@ def odometry(vehicle: SimVehicle) -> Fields | None:
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     v_east, v_north, v_up = vehicle.body.velocity_enu_mps
-    cos_yaw, sin_yaw = (
-        math.cos(vehicle.aircraft.heading_ned_rad),
-        math.sin(vehicle.aircraft.heading_ned_rad),
-    )
+    heading_rad = vehicle.aircraft.heading_ned_rad
+    cos_yaw, sin_yaw = math.cos(heading_rad), math.sin(heading_rad)
     return (
         *(boot_us(vehicle), mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD),
         *ned_from_enu(vehicle.estimator.local_enu_m),

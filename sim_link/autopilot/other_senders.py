@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.domain import PositionEnu
+from companion.geometry.coordinates import ned_from_enu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, Message, mavlink, message_from_ranging
 from companion.mav.payloads import raw_value
@@ -107,27 +108,18 @@ class OtherComponentSender:
             case "mavros":
                 return [mavlink.MAVLink_timesync_message(0, round(now_s * 1e9))]
             case "companion":
-                zeros = (0.0,) * 8
-                return [
-                    mavlink.MAVLink_set_position_target_local_ned_message(
-                        round(now_s * 1e3),
-                        self._vehicle,
-                        1,
-                        1,
-                        POSITION_ONLY,
-                        5.0,
-                        5.0,
-                        -10.0,
-                        *zeros,
-                    )
-                ]
+                return [setpoint_at((5.0, 5.0, 10.0), self._vehicle, now_s)]
             case "gimbal":
-                return [
-                    mavlink.MAVLink_mount_orientation_message(
-                        round(now_s * 1e3), 0.0, -90.0, 0.0, math.nan
-                    )
-                ]
+                angles = (0.0, -90.0, 0.0, math.nan)
+                return [mavlink.MAVLink_mount_orientation_message(round(now_s * 1e3), *angles)]
         return []
+
+
+def setpoint_at(place_enu_m: PositionEnu, system_id: int, now_s: float) -> Message:
+    """Return the setpoint by which another companion keeps a vehicle at a place."""
+    head = (round(1e3 * now_s), system_id, 1, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY)
+    place = ned_from_enu(place_enu_m)
+    return mavlink.MAVLink_set_position_target_local_ned_message(*head, *place, *[0.0] * 8)
 
 
 STATION_IDS = (254, mavlink.MAV_COMP_ID_MISSIONPLANNER)

@@ -190,7 +190,7 @@ class Services:
             **dict.fromkeys((LocalTarget, GlobalTarget, AttitudeTarget), self._take_setpoint),
             mavlink.MAVLink_heartbeat_message: self._take_heartbeat,
             mavlink.MAVLink_timesync_message: self.clocks.timesync,
-            mavlink.MAVLink_ping_message: self._take_ping,
+            mavlink.MAVLink_ping_message: self.clocks.ping,
             mavlink.MAVLink_manual_control_message: self._take_manual_control,
             mavlink.MAVLink_rc_channels_override_message: self._take_rc_override,
             mavlink.MAVLink_set_gps_global_origin_message: self._take_origin,
@@ -336,9 +336,6 @@ class Services:
 
     def _take_setpoint(self, message: TargetMessage, _partner: Partner, now_s: float) -> None:
         self._vehicle.flavour.take_setpoint(message, now_s)
-
-    def _take_ping(self, message: Message, partner: Partner, _now_s: float) -> Message | None:
-        return self.clocks.ping(message, partner)
 
     def _take_heartbeat(
         self, message: mavlink.MAVLink_heartbeat_message, partner: Partner, now_s: float

@@ -219,26 +219,13 @@ def fence_status(vehicle: SimVehicle) -> Fields:
 
 Builder = Callable[[SimVehicle], Fields | None]
 
-_BUILDERS: tuple[Builder, ...] = (
-    *(heartbeat, sys_status, system_time, extended_sys_state, battery_status, home_position),
-    *(
-        timesync,
-        ping,
-        gps_global_origin,
-        autopilot_version,
-        mission_current,
-        estimator_status,
-        rc_channels,
-    ),
-    *(motion.local_position_ned, motion.attitude, motion.attitude_quaternion, motion.odometry),
-    *(motion.global_position_int, motion.altitude, motion.vfr_hud, motion.nav_controller_output),
-    *(motion.position_target_local_ned, motion.position_target_global_int),
-    *(motion.attitude_target, motion.highres_imu, motion.servo_output_raw, motion.raw_imu),
-    *(motion.scaled_pressure, motion.power_status, motion.vibration, motion.distance_sensor),
-    *(motion.gps_raw_int, motion.gps2_raw, motion.scaled_imu2, motion.terrain_report, fence_status),
-)
-"""Each named as its message."""
-_CLASSES = {getattr(mavlink, f"MAVLink_{build.__name__}_message"): build for build in _BUILDERS} | {
+_NAMED: dict[str, Builder] = {**vars(motion), **globals()}
+"""Each function is named as its message."""
+_CLASSES = {
+    kind: build
+    for name, build in _NAMED.items()
+    if (kind := getattr(mavlink, f"MAVLink_{name}_message", None)) is not None
+} | {
     MAVLink_ekf_status_report_message: ekf_status_report,
     IdentifiedMissionCurrent: mission_current,
     mavlink.MAVLink_scaled_imu3_message: motion.scaled_imu2,

@@ -401,7 +401,7 @@ class Clocks:
             return mavlink.MAVLink_timesync_message(own_ns, request.ts1)
         return TargetedTimesync(own_ns, request.ts1, *partner.ids)
 
-    def ping(self, message: Message, partner: Partner) -> Message | None:
+    def ping(self, message: Message, partner: Partner, _now_s: float = 0.0) -> Message | None:
         """Return the answer to a PING request.
 
         None for a PING with a target, which is an answer.

@@ -85,7 +85,7 @@ class PlanUploads:
             self._store.replace(plan_type, ())
             return [ack(partner, PlanResult.ACCEPTED, plan_type)]
         if self._changes_at_once(plan_type):
-            self._store.truncate(plan_type, count)
+            self._store.replace(plan_type, self._store.items(plan_type)[:count])
         upload = Upload(plan_type, count, now_s, now_s)
         self._uploads[partner] = upload
         return [self._ask(upload, partner, now_s)]

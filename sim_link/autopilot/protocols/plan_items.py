@@ -196,10 +196,6 @@ class PlanStore:
         items = self._plans[plan_type]
         self._plans[plan_type] = (*items[:seq], item, *items[seq + 1 :])
 
-    def truncate(self, plan_type: PlanType, count: int) -> None:
-        """Drop items beyond `count`, as ArduPilot does before an upload."""
-        self.replace(plan_type, self._plans[plan_type][:count])
-
     def take_events(self) -> list[PlanEvent]:
         """Take the events since the last call."""
         events, self._events = self._events, []

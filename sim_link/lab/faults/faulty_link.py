@@ -43,7 +43,7 @@ from companion.errors import ConfigError
 from companion.io.links.transports import UdpBind, UdpConnect, udp_address
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
-from companion.mav.dialect import POSITION_ONLY, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
 from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
@@ -54,6 +54,7 @@ from sim_link.autopilot.incidents import (
     PilotMode,
     VehicleFault,
 )
+from sim_link.autopilot.other_senders import setpoint_at
 from sim_link.lab.faults import fault_effects
 from sim_link.lab.faults import fault_models as faults
 from sim_link.lab.lockstep import VEHICLE_PEER, Flight, Operator
@@ -246,15 +247,8 @@ class Injector(Observer):
 
     def _send_other(self, fault: faults.SecondSender, end_s: float) -> None:
         flight = self._flight
-        message = mavlink.MAVLink_set_position_target_local_ned_message(
-            round(1e3 * flight.now_s),
-            flight.scenario.system_id,
-            1,
-            mavlink.MAV_FRAME_LOCAL_NED,
-            POSITION_ONLY,
-            *(fault.north_m, fault.east_m, -fault.up_m),
-            *[0.0] * 8,
-        )
+        place = (fault.east_m, fault.north_m, fault.up_m)
+        message = setpoint_at(place, flight.scenario.system_id, flight.now_s)
         flight.sim.receive(Chunk(0, self._other.encode(message), SENDER_PEER), flight.now_s)
         next_s = flight.now_s + 1.0 / fault.rate_hz
         if next_s < end_s:
