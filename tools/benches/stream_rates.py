@@ -11,7 +11,6 @@ than one step, 1 otherwise.
 from __future__ import annotations
 
 import math
-import socket
 import subprocess
 import sys
 import time
@@ -20,6 +19,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from companion.entry import ignore_broken_pipe
+from companion.io.child_processes import free_udp_ports
 from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance.cli import open_link
 from sim_link.lab.conformance.mavlink_oracle import LocalSetpoint, build_frame
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 @contextmanager
 def running_simulator(autopilot: str) -> Iterator[list[str]]:
     """Run a `sim-link` process at real time; yield the URLs of its three links."""
-    udp, tcp, unused = (free_port() for _ in range(3))
+    udp, tcp, unused = free_udp_ports(3)
     command = [sys.executable, "-m", "sim_link", "--autopilot", autopilot, "--quiet"]
     command += ["--listen", f"127.0.0.1:{udp}", "--send-to", f"127.0.0.1:{unused}"]
     command += ["--link", f"tcpin:127.0.0.1:{tcp}", "--share-ports", "--stop-on-eof"]
@@ -90,20 +90,9 @@ def running_simulator(autopilot: str) -> Iterator[list[str]]:
         assert process.stdout is not None
         process.stdout.readline()
         try:
-            yield [
-                f"udpout:127.0.0.1:{udp}",
-                f"udpout:127.0.0.1:{udp}",
-                f"tcp:127.0.0.1:{tcp}",
-            ]
+            yield [f"udpout:127.0.0.1:{udp}"] * 2 + [f"tcp:127.0.0.1:{tcp}"]
         finally:
             process.kill()
-
-
-def free_port() -> int:
-    """Return a free UDP port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def measure(clients: Sequence[SetpointClient], seconds: float) -> int:

@@ -4,20 +4,20 @@
     .venv/bin/python tools/release/read_aloud.py --check       # exit code 1 if a limit is exceeded
 
 The check counts docstrings, those of attributes and constants included, that begin with a wh-word,
-lines with words that this project keeps out of code and pages, and public modules, classes and
-functions without a docstring.
+and lines with words that this project keeps out of code and pages. That nothing public is without a
+docstring is a rule of ruff.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import inspect
 import random
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,15 +28,14 @@ PACKAGES = ("companion", "sim_link", "tools")
 TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 WH_CLAUSE = re.compile(r"(What|Whether|Who|Whom|Whose|How|Where|When|Which|Why)(ever)?\b")
 WORDS = re.compile(r"\b(told|tells?|anew|whoever|nobody|somebody|somewhen)\b", re.IGNORECASE)
-LIMITS = {"wh-clauses": 0, "words": 20, "missing": 0}
-Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+LIMITS = {"wh-clauses": 0, "words": 20}
+SUFFIXES = {".py", ".yaml", ".md", ".toml", ".html", ".js"}
 
 
 class Docstring(NamedTuple):
-    """Docstring of a module, class, function, attribute or constant; empty text: none."""
+    """Docstring of a module, class, function, attribute or constant."""
 
     place: str
-    name: str
     text: str
 
 
@@ -48,37 +47,13 @@ def files_of(*paths: str) -> list[Path]:
 
 
 def docstrings() -> Iterator[Docstring]:
-    """Yield the docstring of every module, class and function of the product and its tools."""
+    """Yield the docstrings of the product and its tools: every text that is a statement."""
     for path in files_of(*PACKAGES):
         if path.suffix == ".py":
-            yield from _docstrings_of(path)
-
-
-def _docstrings_of(path: Path) -> Iterator[Docstring]:
-    """Yield the docstrings of a file, and those of its attributes and constants.
-
-    Functions inside functions count only with a docstring.
-    """
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    inner = {
-        id(nested)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        for nested in ast.walk(node)
-        if nested is not node
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, Documented):
-            text = ast.get_docstring(node) or ""
-            if text or id(node) not in inner:
-                name = getattr(node, "name", path.stem)
-                place = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}"
-                yield Docstring(place, name, text)
-        for subject, note in pairwise(node.body if isinstance(node, Documented) else ()):
-            is_named = isinstance(subject, ast.Assign | ast.AnnAssign)
-            if is_named and isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant):
-                place = f"{path.relative_to(ROOT)}:{note.lineno}"
-                yield Docstring(place, ast.unparse(subject)[:60], str(note.value.value))
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                    place = f"{path.relative_to(ROOT)}:{node.lineno}"
+                    yield Docstring(place, inspect.cleandoc(str(node.value.value)))
 
 
 def operator_texts() -> list[str]:
@@ -91,26 +66,19 @@ def operator_texts() -> list[str]:
 
 def findings() -> dict[str, list[str]]:
     """Return the lines that the check counts, with their positions."""
-    every = list(docstrings())
-    lines = []
-    for path in files_of(*TEXTS):
-        if path != Path(__file__) and path.suffix in {
-            ".py",
-            ".yaml",
-            ".md",
-            ".toml",
-            ".html",
-            ".js",
-        }:
-            for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-                if WORDS.search(line):
-                    lines.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()}")
     return {
         "wh-clauses": [
-            f"{d.place}: {d.text.splitlines()[0]}" for d in every if WH_CLAUSE.match(d.text)
+            f"{each.place}: {each.text.splitlines()[0]}"
+            for each in docstrings()
+            if WH_CLAUSE.match(each.text)
         ],
-        "words": lines,
-        "missing": [f"{d.place}: {d.name}" for d in every if not d.text and d.name[0] != "_"],
+        "words": [
+            f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+            for path in files_of(*TEXTS)
+            if path != Path(__file__) and path.suffix in SUFFIXES
+            for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+            if WORDS.search(line)
+        ],
     }
 
 
@@ -126,9 +94,8 @@ def main() -> int:
             print(f"{kind}: {len(lines)}, at most {LIMITS[kind]}", *lines, sep="\n  ")
         return int(any(len(lines) > LIMITS[kind] for kind, lines in found.items()))
     draw = random.Random(options.seed)
-    written = [each for each in docstrings() if each.text]
-    for each in draw.sample(written, 60):
-        print(f"{each.place} {each.name}\n    " + each.text.replace("\n", "\n    "))
+    for each in draw.sample(list(docstrings()), 60):
+        print(f"{each.place}\n    " + each.text.replace("\n", "\n    "))
     print(*draw.sample(operator_texts(), 40), sep="\n")
     return 0
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
-from companion.io.files import write_text_atomic
+from companion.io.files import read_file, write_text_atomic
 from tools.console import OneLineParser
 
 HEADER = "t_s,agent_x_m,agent_y_m,target_id,range_m,target_x_m,target_y_m"
@@ -99,12 +99,7 @@ def _number(text: str, place: str) -> float:
 
 
 def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text") from error
+    return read_file(path).decode("utf-8-sig", errors="replace")
 
 
 FORMATS: dict[str, tuple[Callable[[Path, Path], Iterator[Answer]], str]] = {
