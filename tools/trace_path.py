@@ -1,6 +1,6 @@
 """Number of functions that a ranging datagram and a control tick pass.
 
-    .venv/bin/python tools/trace_path.py [--list]
+    .venv/bin/python tools/trace_path.py
 
 Flies the canonical search in lockstep, one process and no sockets, and traces with `sys.setprofile`
 every datagram with a ranging measurement that arrives while the estimate is being made, from
@@ -16,6 +16,7 @@ import argparse
 import statistics
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -48,21 +49,16 @@ class TracedPath:
     """Functions that one datagram or one tick passed."""
 
     calls: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """Calls by file and qualified name, in the order of the first call."""
+    """Calls by file and qualified name."""
     is_fused: bool = False
 
-    @property
-    def files(self) -> set[str]:
-        """Return the files of the functions."""
-        return {name for name, _ in self.calls}
-
-    def __enter__(self) -> None:
-        """Begin to trace."""
+    def trace(self, function: Callable[..., None], *arguments: object) -> None:
+        """Call a function, and note the calls that it makes."""
         sys.setprofile(self.profile)
-
-    def __exit__(self, *_: object) -> None:
-        """End it."""
-        sys.setprofile(None)
+        try:
+            function(*arguments)
+        finally:
+            sys.setprofile(None)
 
     def profile(self, frame: FrameType, event: str, argument: object) -> None:
         """Note a call, until the end; for `sys.setprofile`."""
@@ -71,84 +67,70 @@ class TracedPath:
             return
         if event == "call":
             name = code.co_qualname.partition(".<locals>.<")[0]
-            self.calls[code.co_filename.removeprefix(PRODUCT), name] += 1
+            self.calls[code.co_filename, name] += 1
         elif event == "return" and code.co_qualname == END and isinstance(argument, FusionReport):
             self.is_fused = True
 
 
-@dataclass
-class Traced:
-    """Paths in a window of flight."""
-
-    datagrams: list[TracedPath] = field(default_factory=list)
-    """Paths of ranging datagrams that were fused at once."""
-    later: int = 0
-    """Number of others, which waited for a position or whose solution took longer."""
-    ticks: list[TracedPath] = field(default_factory=list)
-
-
-def traced_paths() -> Traced:
-    """Fly, and trace the calls within the window."""
+def traced_paths() -> tuple[list[TracedPath], list[TracedPath]]:
+    """Fly; return the paths of ranging datagrams and of control ticks within the window."""
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, Scenario(), 1, MemoryJournal())
     flight.run(FROM_S)
     endpoint: Any = flight.companion
-    traced, receive, handle = Traced(), endpoint.receive, endpoint.handle_timer
+    receive, handle = endpoint.receive, endpoint.handle_timer
+    datagrams, ticks = list[TracedPath](), list[TracedPath]()
 
     def traced_receive(chunk: Chunk, now_s: float) -> None:
         if message_id(chunk.data) != MAVLink_radio_ranging_message.id:
             receive(chunk, now_s)
             return
-        path = TracedPath()
-        with path:
-            receive(chunk, now_s)
-        if path.is_fused:
-            traced.datagrams.append(path)
-        else:
-            traced.later += 1
+        datagrams.append(TracedPath())
+        datagrams[-1].trace(receive, chunk, now_s)
 
     def traced_handle(now_s: float) -> None:
-        path, ticks = TracedPath(), endpoint.ticks
-        with path:
-            handle(now_s)
-        if endpoint.ticks > ticks:
-            traced.ticks.append(path)
+        path, before = TracedPath(), endpoint.ticks
+        path.trace(handle, now_s)
+        if endpoint.ticks > before:
+            ticks.append(path)
 
     endpoint.receive, endpoint.handle_timer = traced_receive, traced_handle
     flight.run(DURATION_S)
-    return traced
+    return datagrams, ticks
 
 
 def main() -> int:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--list", action="store_true", help="also the functions, in order")
-    arguments = parser.parse_args()
-    traced = traced_paths()
-    if not traced.datagrams:
-        print(f"trace_path: none of {traced.later} ranging datagrams was fused", file=sys.stderr)
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
+    datagrams, ticks = traced_paths()
+    fused = [path for path in datagrams if path.is_fused]
+    later = len(datagrams) - len(fused)  # waited for a position, or their solution took longer
+    if not fused:
+        print(f"trace_path: none of {later} ranging datagrams was fused", file=sys.stderr)
         return 1
     print(
-        f"{len(traced.datagrams)} ranging datagrams, from bytes to the fused estimate; "
-        f"{traced.later} were later"
+        f"{len(fused)} ranging datagrams, from bytes to the fused estimate; {later} were later",
+        *table(fused),
+        f"{len(ticks)} control ticks, to the bytes of the setpoint and what follows it",
+        *table(ticks),
+        sep="\n",
     )
-    print_table(traced.datagrams, has_list=arguments.list)
-    print(f"{len(traced.ticks)} control ticks, to the bytes of the setpoint and what follows it")
-    print_table(traced.ticks, has_list=arguments.list)
     return 0
 
 
-def print_table(paths: list[TracedPath], *, has_list: bool) -> None:
-    """Print the median and the longest path."""
+def table(paths: list[TracedPath]) -> list[str]:
+    """Return the median and the longest path as a table."""
     paths.sort(key=lambda path: len(path.calls))
     middle, worst = paths[len(paths) // 2], paths[-1]
-    print("| | functions | files | calls |\n|---|---|---|---|")
     median_calls = statistics.median(path.calls.total() for path in paths)
-    print(f"| median | {len(middle.calls)} | {len(middle.files)} | {median_calls:.0f} |")
-    print(f"| most | {len(worst.calls)} | {len(worst.files)} | {worst.calls.total()} |")
-    if has_list:
-        for (name, function), calls in middle.calls.items():
-            print(f"  {name:42} {function} {calls}")
+    lines = ["| | functions | files | calls |", "|---|---|---|---|"]
+    for name, path, calls in (
+        ("median", middle, median_calls),
+        ("most", worst, worst.calls.total()),
+    ):
+        files = {file for file, _ in path.calls}
+        lines.append(f"| {name} | {len(path.calls)} | {len(files)} | {calls:.0f} |")
+    return lines
 
 
 if __name__ == "__main__":

@@ -112,14 +112,10 @@ class Table:
     page: Path
     rows_of: Callable[[Any], list[str]]
 
-    @property
-    def figures(self) -> Path:
-        """Return the file of the measured figures."""
-        return ROOT / f"docs/measured/{self.name}.json"
-
     def written(self, text: str) -> str:
         """Return the page's text with the table renewed; a `ValueError` without marks."""
-        rows = "\n".join(self.rows_of(json.loads(self.figures.read_text(encoding="utf-8"))))
+        figures = json.loads((ROOT / f"docs/measured/{self.name}.json").read_bytes())
+        rows = "\n".join(self.rows_of(figures))
         begin, end = f"<!-- measured: {self.name} -->", "<!-- end of measured -->"
         marked = re.compile(f"{re.escape(begin)}\n.*?{re.escape(end)}", re.DOTALL)
         if not marked.search(text):
@@ -127,10 +123,9 @@ class Table:
         return marked.sub(lambda _: f"{begin}\n\n{rows}\n\n{end}", text)
 
 
-RELIABILITY = ROOT / "docs/reliability.md"
 TABLES = (
     Table("process", ROOT / "docs/process.md", process_rows),
-    Table("campaign", RELIABILITY, campaign_rows),
+    Table("campaign", ROOT / "docs/reliability.md", campaign_rows),
 )
 
 

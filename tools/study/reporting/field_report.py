@@ -19,16 +19,16 @@ of shares are Wilson's of 95 % (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from statistics import median
+
+from scipy.stats import binomtest
 
 from tools.study.reporting import plots
 from tools.study.reporting.plots import Drawing, finished
 from tools.study.reporting.study_tables import interval, number
 from tools.study.study import FlightRow, ResultRow
 
-Z95 = 1.959964
-"""Quantile of the standard normal: 2.5 % are beyond."""
 CONFIG_COLOURS = {"configured": plots.LATCHED, "unconfigured": plots.PASSIVE}
 SHOWN_PLANNER = "latched_crossing"
 
@@ -37,13 +37,8 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share; all of [0, 1] without trials."""
     if of == 0:
         return (0.0, 1.0)
-    share, spread = count / of, Z95 * Z95 / of
-    centre = share + 0.5 * spread
-    reach = math.sqrt(share * (1.0 - share) * spread + 0.25 * spread * spread)
-    return (
-        max(0.0, (centre - reach) / (1.0 + spread)),
-        min(1.0, (centre + reach) / (1.0 + spread)),
-    )
+    low, high = binomtest(count, of).proportion_ci(method="wilson")
+    return float(low), float(high)
 
 
 def by_cell(rows: Iterable[FlightRow]) -> dict[tuple[str, str, str], list[FlightRow]]:
@@ -104,37 +99,37 @@ def _text(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else ""
 
 
-COLUMNS: tuple[tuple[str, Callable[[dict[str, str], dict[str, str]], str]], ...] = (
-    ("flights", lambda own, _: own["flights"]),
-    ("reported", lambda own, _: _percent(own["reported"])),
-    ("time, s", lambda own, _: own["time_s"]),
-    ("error, m", lambda own, _: own["error_m"]),
-    ("R95, m", lambda own, _: own["r95_m"]),
-    ("inside R95", lambda own, ends: _percent(own["coverage"], ends["coverage"])),
-    ("beyond 3 R95", lambda own, _: _percent(own["beyond_3_r95"])),
-    ("absolute error, m", lambda own, _: own["absolute_error_m"]),
-    ("absolute R95, m", lambda own, _: own["absolute_r95_m"]),
-    (
-        "inside absolute R95",
-        lambda own, ends: _percent(own["absolute_coverage"], ends["absolute_coverage"]),
-    ),
-    ("error at the cut, m", lambda own, _: own["cut_error_m"]),
+COLUMNS = (
+    ("flights", "flights"),
+    ("reported", "reported"),
+    ("time, s", "time_s"),
+    ("error, m", "error_m"),
+    ("R95, m", "r95_m"),
+    ("inside R95", "coverage"),
+    ("beyond 3 R95", "beyond_3_r95"),
+    ("absolute error, m", "absolute_error_m"),
+    ("absolute R95, m", "absolute_r95_m"),
+    ("inside absolute R95", "absolute_coverage"),
+    ("error at the cut, m", "cut_error_m"),
 )
-"""Columns of the tables in Markdown: heading, and text by metrics and their intervals."""
+"""Columns of the tables in Markdown: heading and metric."""
+SHARES, WITH_INTERVAL = {"reported", "beyond_3_r95"}, {"coverage", "absolute_coverage"}
 
 
 def markdown_of(rows: Iterable[ResultRow]) -> str:
     """Return a table for each radio, as pages have them."""
-    cells: dict[str, dict[str, tuple[dict[str, str], dict[str, str]]]] = {}
+    cells: dict[str, dict[str, dict[str, str]]] = {}
     for row in rows:
-        own, ends = cells.setdefault(row.value, {}).setdefault(row.system, ({}, {}))
-        own[row.metric], ends[row.metric] = row.ours, row.ours_ci95
+        text = row.ours
+        if row.metric in SHARES | WITH_INTERVAL:
+            text = _percent(text, row.ours_ci95 if row.metric in WITH_INTERVAL else "")
+        cells.setdefault(row.value, {}).setdefault(row.system, {})[row.metric] = text
     lines: list[str] = []
     for radio, systems in cells.items():
         lines += [f"### {radio}", "", f"| | {' | '.join(name for name, _ in COLUMNS)} |"]
         lines += ["|---" * (1 + len(COLUMNS)) + "|"]
-        for system, (own, ends) in systems.items():
-            lines.append(f"| {system} | {' | '.join(show(own, ends) for _, show in COLUMNS)} |")
+        for system, texts in systems.items():
+            lines.append(f"| {system} | {' | '.join(texts[metric] for _, metric in COLUMNS)} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -174,7 +169,7 @@ def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
         handles, names = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=len(names))
         caption = (
-            "A dot is a report. Below the line it was inside of R95; above the dots its error "
+            "A dot is a report. Below the line it was inside of R95; above the dots its error was "
+            f"more than three times R95. Planner {SHOWN_PLANNER} where it was flown."
         )
-        caption += f"was more than three times R95. Planner {SHOWN_PLANNER} where it was flown."
         return finished(figure, "field", "Error over R95, relative", caption, wide=True)
