@@ -6,9 +6,11 @@ A long run shows a bar with the remaining time on a terminal, and a line now and
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import logging
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
 from typing import NoReturn, TextIO, TypeVar
@@ -76,6 +78,13 @@ def without_logs() -> Iterator[None]:
         yield
     finally:
         logging.disable(before)
+
+
+def csv_text(names: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as a CSV file with their header."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([names, *rows])
+    return text.getvalue()
 
 
 def say(text: str) -> None:

@@ -6,8 +6,6 @@ Exit code 1: stopped, a backend failed, or a limit is exceeded. 2: bad input.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import os
 import signal
 import sys
@@ -23,7 +21,7 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
-from tools.console import OneLineParser, done_by, non_negative, positive, say
+from tools.console import OneLineParser, csv_text, done_by, non_negative, positive, say
 from tools.study import search_planners, searched_area
 from tools.study.field_flights import flights_of, fly
 from tools.study.power_pairs import fly_both, table_of_power
@@ -117,8 +115,8 @@ def written(studies: list[Study], store: Store, seed: int, out: Path) -> None:
     results = results_of(studies, seed, store)
     rows = [row for result in results for row in rows_of(result)]
     costs = costs_of(results)
-    write_text_atomic(out / "results.csv", csv_text(rows))
-    write_text_atomic(out / "costs.csv", csv_text(costs))
+    write_text_atomic(out / "results.csv", table_text(rows))
+    write_text_atomic(out / "costs.csv", table_text(costs))
     write_page(out, sections_of(results, rows), rows, costs)
     say(f"{out}: results.csv, costs.csv, report.html")
 
@@ -144,9 +142,9 @@ def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
 def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path) -> None:
     """Write tables and the report of flights."""
     rows = summary_of(flown)
-    write_text_atomic(out / "flights.csv", csv_text(flown, FlightRow.__struct_fields__))
+    write_text_atomic(out / "flights.csv", table_text(flown, FlightRow.__struct_fields__))
     write_json_atomic(out / "flights.json", msgspec.to_builtins(flown))
-    write_text_atomic(out / "results.csv", csv_text(rows))
+    write_text_atomic(out / "results.csv", table_text(rows))
     write_text_atomic(out / "results.md", markdown_of(rows))
     if flown:
         runs = len({row.seed for row in flown})
@@ -229,13 +227,9 @@ SIMULATED = {
 ROW_NAMES = tuple(field.name for field in fields(ResultRow))
 
 
-def csv_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
+def table_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
     """Return rows as a CSV file with their header."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([getattr(row, name) for name in names] for row in rows)
-    return text.getvalue()
+    return csv_text(names, ([getattr(row, name) for name in names] for row in rows))
 
 
 def check_folder(path: Path) -> None:

@@ -34,6 +34,7 @@ from tools.campaign.flights import (
     monitored_flight,
     random_fault,
 )
+from tools.study.searched_area import box
 
 Corners = tuple[tuple[float, float], ...]
 
@@ -55,11 +56,6 @@ class Place:
     start_enu_m: tuple[float, float]
     emitter_box_m: tuple[float, float, float, float]
     """West, south, east, north of where the emitter may be; may reach over the fence."""
-
-
-def box(west: float, south: float, east: float, north: float) -> Corners:
-    """Return a rectangle's corners."""
-    return ((west, south), (east, south), (east, north), (west, north))
 
 
 NOTCH: Corners = ((-20, -20), (100, -20), (100, 30), (45, 30), (45, 100), (-20, 100))

@@ -15,8 +15,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from scipy.stats import binom
 
 from companion.errors import ConfigError
+from companion.kernel import Vector
 from tools.study.field_flights import FieldFlight, flights_of, fly
 from tools.study.reporting.study_tables import studies_of
 from tools.study.study import FlightRow
@@ -81,42 +83,32 @@ def table_of_power(pairs: Sequence[PowerPair]) -> tuple[str, bool]:
     explains.
     """
     lines = [f"{len(pairs)} pairs                without    with power  better  worse"]
-    judged = []
-    for name, value_of in (("error, m", _error_m), ("outside R95", _is_outside)):
-        values = np.array([[value_of(row) for row in (p.without, p.with_power)] for p in pairs])
-        better, worse = ((side * np.diff(values)).ravel() > 0.0 for side in (-1.0, 1.0))
-        judged.append((int(better.sum()), int(worse.sum())))
-        figures = np.median(values, axis=0) if value_of is _error_m else values.sum(axis=0)
-        lines.append(_line(name, figures.tolist(), *judged[-1]))
-    for name, field in (("R95, m", "r95_m"), ("time, s", "time_s")):
-        values = np.array(
-            [[_known(getattr(row, field)) for row in (p.without, p.with_power)] for p in pairs]
-        )
-        lines.append(_line(name, np.median(values, axis=0).tolist()))
-    reported = [[row.is_reported for row in (p.without, p.with_power)] for p in pairs]
-    lines.append(_line("reported", np.sum(reported, axis=0).tolist()))
-    is_met = all(_chance(better, worse) > WORSE_BY_CHANCE for better, worse in judged)
+    both = [(pair.without, pair.with_power) for pair in pairs]
+    error_m, r95_m, time_s, reported = (
+        np.array([[_known(getattr(row, name)) for row in rows] for rows in both])
+        for name in ("error_m", "r95_m", "time_s", "is_reported")
+    )
+    outside = (error_m > r95_m).astype(float)
+    is_met = True
+    for name, values, figures in (
+        ("error, m", error_m, np.median(error_m, axis=0)),
+        ("outside R95", outside, outside.sum(axis=0)),
+    ):
+        better, worse = (values[:, a] > values[:, b] for a, b in ((0, 1), (1, 0)))
+        lines.append(f"{_line(name, figures)}{better.sum():8d}{worse.sum():8d}")
+        by_chance = binom.sf(worse.sum() - 1, (better | worse).sum(), 0.5)
+        is_met &= bool(by_chance > WORSE_BY_CHANCE)
+    lines += [
+        _line("R95, m", np.median(r95_m, axis=0)),
+        _line("time, s", np.median(time_s, axis=0)),
+    ]
+    lines.append(_line("reported", reported.sum(axis=0)))
     return "\n".join(lines) + "\n", is_met
 
 
-def _line(name: str, figures: Sequence[float], *counts: int) -> str:
-    cells = "".join(f"{count:8d}" for count in counts)
-    return f"{name:16}{figures[0]:12.2f}{figures[1]:14.2f}{cells}"
+def _line(name: str, figures: Vector) -> str:
+    return f"{name:16}{figures[0]:12.2f}{figures[1]:14.2f}"
 
 
 def _known(value: float | None) -> float:
-    return math.inf if value is None else value
-
-
-def _error_m(row: FlightRow) -> float:
-    return _known(row.error_m)
-
-
-def _is_outside(row: FlightRow) -> bool:
-    return _error_m(row) > _known(row.r95_m)
-
-
-def _chance(better: int, worse: int) -> float:
-    """Return the probability of at least this many worse pairs if both are equally likely."""
-    count = better + worse
-    return float(sum(math.comb(count, k) for k in range(worse, count + 1)) / 2**count)
+    return math.inf if value is None else float(value)

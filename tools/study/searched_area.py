@@ -11,19 +11,20 @@ beforehand.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.geometry.polygons import Point
 from companion.search.detection_model import PROPAGATION, DetectionModel, Environment, Wall
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, state_of
+from tools.console import csv_text
+from tools.study.case import along, lane_corners
 
 Array = NDArray[np.float64]
 Kind = Literal["open", "rubble", "walls"]
@@ -32,10 +33,16 @@ EMITTERS = 40
 """Places of one flight at which an emitter is tried; the first is drawn from the POA."""
 INTERVAL_S = 1.0
 MOST_REACH_ERROR_DB = 6.0
+EDGE_M = 20.0
+"""Between the ends of a lane and the edges of the square."""
 
 
-@dataclass(frozen=True, slots=True)
-class Building:
+def box(west: float, south: float, east: float, north: float) -> tuple[Point, ...]:
+    """Return a rectangle's corners."""
+    return ((west, south), (east, south), (east, north), (west, north))
+
+
+class Building(NamedTuple):
     """Rectangle of walls, axis-parallel; metres."""
 
     west_m: float
@@ -92,7 +99,11 @@ def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
         environment=environment,
         interval_s=INTERVAL_S,
         duty_cycle=duty_cycle,
-        walls=tuple(_as_configured(each) for each in buildings),
+        # outlines and heights as on a map, the loss from a table
+        walls=tuple(
+            Wall(corners_enu_m=box(*each[:4]), height_m=each.height_m, loss_db=10.0)
+            for each in buildings
+        ),
     )
     true_exponent = exponent + rng.uniform(-0.2, 0.2)
     world = World(
@@ -125,32 +136,16 @@ def _draw_buildings(rng: np.random.Generator) -> tuple[Building, ...]:
     return tuple(buildings)
 
 
-def _as_configured(building: Building) -> Wall:
-    """Return its outline and height as on a map, and its loss from a table."""
-    west, south, east, north = (
-        building.west_m,
-        building.south_m,
-        building.east_m,
-        building.north_m,
-    )
-    corners = ((west, south), (east, south), (east, north), (west, north))
-    return Wall(corners_enu_m=corners, height_m=building.height_m, loss_db=10.0)
-
-
 def draw_track(rng: np.random.Generator, side_m: float) -> Array:
     """Draw (points, 3) lanes over a square, one point a second, ended anywhere."""
     spacing_m, speed_mps = rng.uniform(40.0, 160.0), rng.uniform(3.0, 8.0)
     height_m = rng.uniform(15.0, 50.0)
-    corners = []
-    for lane, north_m in enumerate(np.arange(0.5 * spacing_m, side_m, spacing_m)):
-        ends = (20.0, side_m - 20.0)
-        corners += [(end, north_m) for end in (ends if lane % 2 == 0 else ends[::-1])]
-    path = np.array(corners)
-    lengths = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))))
-    end_m = lengths[-1] * rng.uniform(0.25, 1.0)
-    along = np.arange(0.0, end_m, speed_mps * INTERVAL_S)
-    east, north = (np.interp(along, lengths, path[:, axis]) for axis in (0, 1))
-    return np.column_stack((east, north, np.full(len(along), height_m)))
+    corners = lane_corners((side_m - 2.0 * EDGE_M, side_m), spacing_m)
+    path = np.add(corners, (EDGE_M, 0.0))
+    end_m = np.hypot(*np.diff(path, axis=0).T).sum() * rng.uniform(0.25, 1.0)
+    step_m = speed_mps * INTERVAL_S
+    track = along(path, step_m, math.ceil(end_m / step_m))
+    return np.column_stack((track, np.full(len(track), height_m)))
 
 
 def walls_crossed(buildings: Iterable[Building], emitters: Array, track: Array) -> Array:
@@ -218,16 +213,14 @@ def search_areas(rng: np.random.Generator) -> SearchGrid:
 
 def even_poa(side_m: float) -> SearchGrid:
     """Return an even POA over a square from the origin."""
-    whole = ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
-    return grid_over([WeightedArea(whole)], CELL_M)
+    return grid_over([WeightedArea(box(0.0, 0.0, side_m, side_m))], CELL_M)
 
 
 def uneven_poa(side_m: float, rng: np.random.Generator, *, is_turned: bool = False) -> SearchGrid:
     """Return three strips of a square with 70, 20 and 10 % in any order, from west or south on."""
     third, areas = side_m / 3.0, []
     for k, weight in enumerate(rng.permutation(WEIGHTS)):
-        low, high = k * third, (k + 1) * third
-        strip = ((low, 0.0), (high, 0.0), (high, side_m), (low, side_m))
+        strip = box(k * third, 0.0, (k + 1) * third, side_m)
         turned = tuple((north, east) for east, north in strip)
         areas.append(WeightedArea(turned if is_turned else strip, weight))
     return grid_over(areas, CELL_M)
@@ -243,12 +236,11 @@ def fly(number: int, seed: int) -> list[Trial]:
         area.listen((east, north, up), INTERVAL_S)
     area.finish()
     state = state_of(area)
-    cells = np.concatenate(
-        (
-            rng.choice(len(grid.poa), 1, p=grid.poa),
-            rng.choice(len(grid.poa), EMITTERS - 1),
-        )
+    first, others = (
+        rng.choice(len(grid.poa), 1, p=grid.poa),
+        rng.choice(len(grid.poa), EMITTERS - 1),
     )
+    cells = np.concatenate((first, others))
     places = grid.centres_enu_m[cells] + rng.uniform(-0.5, 0.5, (EMITTERS, 2)) * grid.cell_m
     heard = [bool(row.any()) for row in are_heard(world, places, track, rng)]
     return [
@@ -306,10 +298,9 @@ def success(trials: Sequence[Trial]) -> tuple[float, float, int]:
 
 def csv_of(bins: Iterable[Bin]) -> str:
     """Return the reliability diagram's points as CSV."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["world", "pod_from", "stated", "heard", "sigma", "cells"])
-    for each in bins:
-        shares = (f"{value:.4f}" for value in (each.stated, each.heard, each.sigma))
-        writer.writerow([each.kind, f"{each.low:.1f}", *shares, each.trials])
-    return text.getvalue()
+    head = ("world", "pod_from", "stated", "heard", "sigma", "cells")
+    rows = (
+        (b.kind, f"{b.low:.1f}", f"{b.stated:.4f}", f"{b.heard:.4f}", f"{b.sigma:.4f}", b.trials)
+        for b in bins
+    )
+    return csv_text(head, rows)

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from pathlib import Path
 
-import matplotlib as mpl
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from companion.io.files import write_bytes_atomic, write_text_atomic
-from tools.study.reporting.plots import DPI, FIM, INK, LATCHED, MUTED, PASSIVE, STYLE
+from tools.study.reporting import plots
 from tools.study.searched_area import KINDS, Bin, Kind, Trial, csv_of, reliability, success
 
 MOST_ERROR = 0.03
 """Largest permitted difference between heard and stated shares in each tenth."""
-COLOURS: dict[Kind, str] = {"open": LATCHED, "rubble": PASSIVE, "walls": FIM}
+COLOURS: dict[Kind, str] = {"open": plots.LATCHED, "rubble": plots.PASSIVE, "walls": plots.FIM}
 
 
 def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
@@ -39,23 +34,17 @@ def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
 
 def drawn(overall: Sequence[Bin], by_kind: Mapping[Kind, list[Bin]]) -> bytes:
     """Return the diagram as PNG: observed over stated detections."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(4.6, 4.4), layout="constrained")
+    with plots.look():
+        figure = plots.new_figure(4.6, 4.4)
         axes = figure.subplots()
-        axes.plot((0.0, 1.0), (0.0, 1.0), color=MUTED, linewidth=0.8)
+        axes.plot((0.0, 1.0), (0.0, 1.0), color=plots.MUTED, linewidth=0.8)
         for kind, found in by_kind.items():
             points = [each.stated for each in found], [each.heard for each in found]
             axes.plot(*points, color=COLOURS[kind], linewidth=1.0, label=kind)
         points = [each.stated for each in overall], [each.heard for each in overall]
         band = [1.96 * each.sigma for each in overall]
-        axes.errorbar(*points, band, fmt="o-", color=INK, markersize=3.5, label="all")
+        axes.errorbar(*points, band, fmt="o-", color=plots.INK, markersize=3.5, label="all")
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal")
         axes.set(xlabel="stated probability of detection", ylabel="share heard")
         axes.legend()
-        return _png(figure)
-
-
-def _png(figure: Figure) -> bytes:
-    file = BytesIO()
-    FigureCanvasAgg(figure).print_figure(file, format="png", dpi=DPI)
-    return file.getvalue()
+        return plots.finished(figure, "reliability", "", "").png

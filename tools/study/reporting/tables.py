@@ -45,7 +45,6 @@ METRICS = {
     "time_s": "Median time from engaging to the report, s",
     "cut_error_m": "Median error at the cut of flights that did not report, m",
     "cost_ms_per_step": "Cost of a step, ms",
-    "filterpy_update_ms": "filterpy's update on the same measurements, ms",
 }
 TYPESET = (
     (r"(?<=\d) to (?=[\d-])", "\u2009\N{EN DASH}\u2009"),

@@ -3,14 +3,13 @@
 For every file the variant with the smallest median plus 90th percentile of the final errors on the
 *other* files of its preset is chosen, among those of which at least 94 % of the claims of
 *localised* hold there, or else the most; its figures on the left-out file are those to expect on a
-walk that it was not tuned to. In the same way the present loss is judged beside one that learns a
-mixture of line of sight and reflections on each target.
+walk that it was not tuned to.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,21 +75,16 @@ def flown(job: Job) -> list[TargetClaims]:
     return claims_of(job.path, varied(preset_of(job.path), name_of_preset(job.path), job.variant))
 
 
-def by_preset(paths: Iterable[Path]) -> dict[str, list[Path]]:
-    """Return the walks of each preset."""
-    files: dict[str, list[Path]] = {}
-    for path in paths:
-        files.setdefault(name_of_preset(path), []).append(path)
-    return files
-
-
 def jobs_in(folder: Path) -> list[Job]:
     """Return all jobs for choosing among the variants, for presets with at least two files."""
+    files: dict[str, list[Path]] = {}
+    for path in walks_in(folder):
+        files.setdefault(name_of_preset(path), []).append(path)
     return [
         Job(path, variant)
-        for preset, files in by_preset(walks_in(folder)).items()
-        if preset in TRIED and len(files) > 1
-        for path in files
+        for preset, own in files.items()
+        if preset in TRIED and len(own) > 1
+        for path in own
         for variant in variants_of(preset)
     ]
 

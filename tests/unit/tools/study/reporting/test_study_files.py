@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from tools.run_study import check_folder, csv_text
+from tools.run_study import check_folder, table_text
 from tools.study.reporting.study_tables import (
     load_study,
     studies_of,
@@ -111,7 +111,7 @@ def test_a_collection_must_not_contain_itself(tmp_path: Path) -> None:
 
 def test_rows_as_csv() -> None:
     row = ResultRow("t", "p", "0.5", "EKF (FIM)", "final_rmse_m", "0.1", "0.2", "0.1..0.3", "")
-    assert csv_text([row]).splitlines() == [
+    assert table_text([row]).splitlines() == [
         "table,parameter,value,system,metric,paper,ours,ours_ci95,bound",
         "t,p,0.5,EKF (FIM),final_rmse_m,0.1,0.2,0.1..0.3,",
     ]
