@@ -33,7 +33,7 @@ from companion.io.files import check_writable, write_json_atomic
 from sim_link.world.environment import ChannelParams
 from tools.console import OneLineParser, done_by, non_negative, positive
 from tools.study.case import PAPER_BELIEF, Case
-from tools.study.metrics import diverged_count, steps_to_settle
+from tools.study.metrics import steps_to_settle
 from tools.study.reporting.study_tables import rmse_interval_m
 from tools.study.systems import PlannerName, System
 from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
@@ -101,7 +101,7 @@ def lawnmower_systems() -> list[tuple[Case, System]]:
 def lawnmower_figures(measured: Measured) -> list[Figure]:
     """Return the RMSE of every filter; rank and range offset of the first, beside Huber's."""
     (ours, tally), (_, huber) = measured[:2]
-    ours_m, ratio = float(tally.rmse_m[-1]), float(tally.rmse_m[-1]) / float(huber.rmse_m[-1])
+    ours_m, ratio = tally.final_m, tally.final_m / huber.final_m
     offset_m = float(tally.range_offset_m[-1] / tally.runs)
     low_m, high_m = OFFSET_BAND_M
     first, *others = (rmse_figure(*each) for each in measured)
@@ -118,17 +118,16 @@ def lawnmower_figures(measured: Measured) -> list[Figure]:
 
 def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     """Return the final RMSE of a system, with its remarks."""
-    errors_m = tally.final_errors_m
-    low_m, high_m = rmse_interval_m(errors_m) or (math.nan, math.nan)
+    low_m, high_m = rmse_interval_m(tally.final_errors_m) or (math.nan, math.nan)
     steps = steps_to_settle(tally.rmse_m)
     note = (
-        f"95 % interval {low_m:.3f} to {high_m:.3f}, worst {errors_m.max():.2f} m, "
-        f"{diverged_count(errors_m, 1.0)} beyond 1 m, "
+        f"95 % interval {low_m:.3f} to {high_m:.3f}, worst {tally.worst_m:.2f} m, "
+        f"{tally.diverged(1.0)} beyond 1 m, "
         f"{'never' if steps is None else f'{steps} steps'} to 2.5 m, "
         f"bound {tally.rmse_bound_m[-1]:.3f} m"
     )
     name = f"{campaign.system.label}: final RMSE, m"
-    return Figure("lawnmower", name, float(tally.rmse_m[-1]), note=note)
+    return Figure("lawnmower", name, tally.final_m, note=note)
 
 
 def noise_case(range_sigma_m: float) -> Case:
@@ -149,9 +148,8 @@ def bound_systems() -> list[tuple[Case, System]]:
 
 def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     """Return the final RMSE of a system by the bound on its own tracks."""
-    rmse_m, bound_m = float(tally.rmse_m[-1]), float(tally.rmse_bound_m[-1])
+    rmse_m, bound_m = tally.final_m, float(tally.rmse_bound_m[-1])
     ratio = rmse_m / bound_m
-    worst_m = float(tally.final_errors_m.max())
     sigma_m = campaign.case.channel.range_sigma_m
     return Figure(
         "bound",
@@ -159,7 +157,7 @@ def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
         ratio,
         f"<= {MAX_BOUND_RATIO}",
         ratio <= MAX_BOUND_RATIO,
-        f"{rmse_m:.4f} m by {bound_m:.4f} m, worst {worst_m:.2f} m",
+        f"{rmse_m:.4f} m by {bound_m:.4f} m, worst {tally.worst_m:.2f} m",
     )
 
 

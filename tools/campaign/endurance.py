@@ -9,7 +9,6 @@ a real disk; the battery is endless.
 from __future__ import annotations
 
 import gc
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -159,8 +158,6 @@ HOUR_S = 3600.0
 SAMPLE_S = 300.0
 SETTLED_H = 1.0
 SLOPE_MB_PER_H = 0.1
-PROGRESS_FROM_H = 2.0
-"""Hours from which on a flight reports each hour, because it takes minutes."""
 LOG_CAP_BYTES = 20_000_000
 LOG_SLACK = 1.1
 """The file that is being written, and the names of the others."""
@@ -208,10 +205,6 @@ def soak(trial: Trial) -> TrialOutcome:
         while flight.now_s < trial.size * HOUR_S:
             flight.run(min(SAMPLE_S, trial.size * HOUR_S - flight.now_s))
             usage.sample(flight.now_s)
-            if trial.size > PROGRESS_FROM_H and len(usage.hours) % round(HOUR_S / SAMPLE_S) == 0:
-                hours, memory_mb = usage.hours[-1], usage.memory_mb[-1]
-                sys.stderr.write(f"  soak: {hours:.0f} of {trial.size:g} h, {memory_mb:.1f} MB\n")
-                sys.stderr.flush()
         files = (path for path in directory.rglob("*") if path.is_file())
         usage.log_bytes = sum(path.stat().st_size for path in files)
         journal.close()

@@ -55,16 +55,6 @@ def steps_to_settle(rmse_by_step_m: Vector, threshold_m: float = SETTLED_M) -> i
     return None if above[-1] + 1 == rmse_by_step_m.size else int(above[-1]) + 2
 
 
-def diverged_count(final_errors_m: Vector, threshold_m: float = DIVERGED_M) -> int:
-    """Return the number of runs that ended beyond the threshold, or nowhere."""
-    return int(np.sum(~(final_errors_m <= threshold_m)))
-
-
-def median_m(final_errors_m: Vector) -> float:
-    """Return the median over runs; a run that ended nowhere counts as farthest off."""
-    return float(np.median(np.where(np.isnan(final_errors_m), np.inf, final_errors_m)))
-
-
 def nees(errors_enu_m: Matrix, covariances_m2: Matrix) -> Vector:
     """Return the normalised estimation errors squared e^T P^-1 e of the position, (...,).
 

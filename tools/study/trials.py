@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -168,8 +168,7 @@ class RunSeries:
         return [replace(self, first=first, runs=min(BLOCK, end - first)) for first in firsts]
 
 
-@dataclass(frozen=True, slots=True)
-class RunTally:
+class RunTally(NamedTuple):
     """Outcomes of runs, and sums over them after every step.
 
     Sums, (steps,) each, are of squared errors, of the Cramer-Rao bounds on them, of NEES, of runs
@@ -206,20 +205,31 @@ class RunTally:
         return np.asarray(self.inside / self.runs)
 
     @property
-    def _sums(self) -> list[Vector]:
-        """Return the six sums, (steps,) each."""
-        return [getattr(self, name) for name in RunTally.__slots__[1:-1]]
+    def final_m(self) -> float:
+        """RMSE after the last step."""
+        return float(self.rmse_m[-1])
 
-    def joined(self, later: RunTally) -> RunTally:
-        """Return the tally with the runs that follow these."""
-        sums = (own + others for own, others in zip(self._sums, later._sums, strict=True))
-        final_errors_m = np.concatenate([self.final_errors_m, later.final_errors_m])
-        return RunTally(self.runs + later.runs, *[*sums, final_errors_m])
+    @property
+    def worst_m(self) -> float:
+        """Error of the worst run after the last step."""
+        return float(np.max(self.final_errors_m))
+
+    @property
+    def median_m(self) -> float:
+        """Median error after the last step; a run that ended nowhere counts as farthest off."""
+        return float(
+            np.median(np.where(np.isnan(self.final_errors_m), np.inf, self.final_errors_m))
+        )
+
+    def diverged(self, threshold_m: float = metrics.DIVERGED_M) -> int:
+        """Return the number of runs that ended beyond the threshold, or nowhere."""
+        return int(np.sum(~(self.final_errors_m <= threshold_m)))
 
     def packed(self) -> bytes:
         """Return all of it in bytes, as `unpacked` reads them."""
+        _, *arrays = self
         head = [float(self.runs), float(self.squared_m2.size)]
-        return np.concatenate([head, *self._sums, self.final_errors_m]).astype("<f8").tobytes()
+        return np.concatenate([head, *arrays]).astype("<f8").tobytes()
 
 
 def unpacked(packed: bytes) -> RunTally:
@@ -231,7 +241,8 @@ def unpacked(packed: bytes) -> RunTally:
 
 def joined_in_order(tallies: Iterable[RunTally]) -> RunTally:
     """Return all runs of tallies whose blocks follow each other."""
-    return reduce(RunTally.joined, tallies)
+    runs, *sums, finals = (list[Any](values) for values in zip(*tallies, strict=True))
+    return RunTally(sum(runs), *[*(sum(own) for own in sums), np.concatenate(finals)])
 
 
 def tally_of(block: RunSeries) -> RunTally:

@@ -34,6 +34,7 @@ MAX_REGIME_RMSE_M, MAX_REGIME_WORST_M = 0.03, 0.15
 MAX_STEPS = {"0.5": 20, "1.5": 13, "2.5": 13}
 """To 2.5 m, by range noise."""
 MAX_ANYWHERE_RMSE_M, MAX_ANYWHERE_WORST_M = 0.05, 0.5
+NONE_DIVERGED = "no run diverged"
 MAX_OFF_M = 1.0
 """Largest final error of any of ten thousand runs, in m."""
 MAX_BOUND_RATIO = 1.3
@@ -126,8 +127,8 @@ def _one_sided(findings: Findings) -> Claim:
     for cell in findings.of(PASSIVE, *FIXED_TRACKS):
         paper_m, huber = findings.paper_m(cell), findings.peer(cell, SYMMETRIC)
         if paper_m is not None and huber is not None:
-            by_paper.append(final_m(cell) / paper_m)
-            by_huber.append(final_m(cell) / final_m(huber))
+            by_paper.append(cell.tally.final_m / paper_m)
+            by_huber.append(cell.tally.final_m / huber.tally.final_m)
             judged += [cell, huber]
     if not by_paper:
         raise NotFlownError
@@ -137,27 +138,27 @@ def _one_sided(findings: Findings) -> Claim:
         "<= the paper's cell, and <= Huber in the same runs",
         f"{len(by_paper)} cells: at most {max(by_paper):.2f} x the paper's, "
         f"{max(by_huber):.2f} x Huber's; {_diverged_text(judged)}",
-        max(by_paper) <= 1.0 and max(by_huber) <= 1.0 and not any(map(diverged_runs, judged)),
+        max(by_paper) <= 1.0 and max(by_huber) <= 1.0 and _diverged_text(judged) == NONE_DIVERGED,
     )
 
 
 def _reactive(findings: Findings) -> Claim:
     cells = _flown([c for c in findings.of(REACTIVE, REGIMES) if findings.paper_m(c) is not None])
-    finals, papers = [final_m(c) for c in cells], [findings.paper_m(c) or 0.0 for c in cells]
+    finals, papers = [c.tally.final_m for c in cells], [findings.paper_m(c) or 0.0 for c in cells]
     is_within = all(ours <= paper for ours, paper in zip(finals, papers, strict=True))
     return Claim(
         "Reactive crossing as printed, range noise low / medium / high",
         _list(papers, "g") + " m",
         "RMSE <= the paper's cell, no run diverged",
-        f"{_list(finals)} m, median {_list([median_m(c) for c in cells])} m, "
+        f"{_list(finals)} m, median {_list([c.tally.median_m for c in cells])} m, "
         f"{_diverged_text(cells)}",
-        is_within and not any(map(diverged_runs, cells)),
+        is_within and _diverged_text(cells) == NONE_DIVERGED,
     )
 
 
 def _regimes(findings: Findings) -> Claim:
     cells = findings.of(BEST, REGIMES)
-    finals, worst = [final_m(c) for c in cells], max(worst_m(c) for c in cells)
+    finals, worst = [c.tally.final_m for c in cells], max(c.tally.worst_m for c in cells)
     return Claim(
         f"Our best O(1) planner ({BEST.label}) in the noise regimes, final RMSE",
         "0.21 / 0.41 / 0.70 m",
@@ -185,27 +186,30 @@ def _settling(findings: Findings) -> Claim:
 
 def _anywhere(findings: Findings) -> Claim:
     cells = findings.of(BEST, *SENSITIVITY, OBSTACLE)
-    farthest, worst = max(cells, key=final_m), max(worst_m(cell) for cell in cells)
+    farthest, worst = (
+        max(cells, key=lambda cell: cell.tally.final_m),
+        max(cell.tally.worst_m for cell in cells),
+    )
     tables = ", ".join(dict.fromkeys(cell.table for cell in cells))
     return Claim(
         "The same, every cell of the sensitivity tables and behind the obstacle",
         "0.119 to 2.394 m",
         f"<= {MAX_ANYWHERE_RMSE_M} m, worst run <= {MAX_ANYWHERE_WORST_M} m",
-        f"{len(cells)} cells ({tables}): at most {final_m(farthest):.3f} m "
+        f"{len(cells)} cells ({tables}): at most {farthest.tally.final_m:.3f} m "
         f"({farthest.parameter} {farthest.value}), worst run {worst:.3f} m",
-        final_m(farthest) <= MAX_ANYWHERE_RMSE_M and worst <= MAX_ANYWHERE_WORST_M,
+        farthest.tally.final_m <= MAX_ANYWHERE_RMSE_M and worst <= MAX_ANYWHERE_WORST_M,
     )
 
 
 def _robustness(findings: Findings) -> Claim:
     cells = findings.of(BEST, ROBUSTNESS)
-    lost = sum(metrics.diverged_count(cell.tally.final_errors_m, MAX_OFF_M) for cell in cells)
+    lost = sum(cell.tally.diverged(MAX_OFF_M) for cell in cells)
     runs = " + ".join(f"{cell.tally.runs:,}" for cell in cells)
     return Claim(
         "The same, many runs in each regime",
         "-",
         f"no run ends more than {MAX_OFF_M:g} m off",
-        f"{lost} of {runs} runs, worst {max(worst_m(cell) for cell in cells):.3f} m",
+        f"{lost} of {runs} runs, worst {max(cell.tally.worst_m for cell in cells):.3f} m",
         lost == 0,
     )
 
@@ -215,7 +219,7 @@ def _bound(findings: Findings) -> Claim:
     for planner, label in PLANNER_LABELS.items():
         cells = findings.find(System("map", planner), REGIMES)
         if cells:
-            ratios[label] = max(final_m(c) / float(c.tally.rmse_bound_m[-1]) for c in cells)
+            ratios[label] = max(c.tally.final_m / float(c.tally.rmse_bound_m[-1]) for c in cells)
     asked = {label: ratio for label, ratio in ratios.items() if label in INFORMED}
     if not asked:
         raise NotFlownError
@@ -261,7 +265,10 @@ def _reversal(findings: Findings) -> Claim:
     """Check the printed planner if it was flown; the companion's of that name differs."""
     reactive, ours = findings.of(REACTIVE, OBSTACLE)[0], findings.find(FIM, OBSTACLE)[:1]
     fim = _flown([*findings.find(FIM_PRINTED, OBSTACLE)[:1], *ours])[0]
-    is_later, is_worse = _steps(fim) > _steps(reactive), median_m(fim) > median_m(reactive)
+    is_later, is_worse = (
+        _steps(fim) > _steps(reactive),
+        fim.tally.median_m > reactive.tally.median_m,
+    )
     return Claim(
         "Behind the obstacle FIM fails and reactive crossing does not",
         "a reversal",
@@ -278,7 +285,8 @@ def _obstacle(findings: Findings) -> Claim:
     others = [findings.of(FIM, OBSTACLE)[0], findings.of(REACTIVE, OBSTACLE)[0]]
     others += findings.find(FIM_PRINTED, OBSTACLE)[:1]
     is_met = all(
-        median_m(best) < median_m(other) and _steps(best) < _steps(other) for other in others
+        best.tally.median_m < other.tally.median_m and _steps(best) < _steps(other)
+        for other in others
     )
     return Claim(
         f"{BEST.label} beats both behind the obstacle, in median error and in time",
@@ -292,7 +300,9 @@ def _obstacle(findings: Findings) -> Claim:
 def _ending(cell: CellResult) -> str:
     steps = steps_to_settle(cell.tally.rmse_m)
     settled = "never settles" if steps is None else f"{steps} steps"
-    finals = f"{final_m(cell):.4f} m, median {median_m(cell):.4f} m, {_diverged_text([cell])}"
+    finals = (
+        f"{cell.tally.final_m:.4f} m, median {cell.tally.median_m:.4f} m, {_diverged_text([cell])}"
+    )
     return f"{cell.system.label} {settled}, {finals}"
 
 
@@ -334,31 +344,11 @@ JUDGES: Sequence[Judge] = (
 )
 
 
-def final_m(cell: CellResult) -> float:
-    """Return the final RMSE of a cell."""
-    return float(cell.tally.rmse_m[-1])
-
-
-def median_m(cell: CellResult) -> float:
-    """Return the median over runs of a cell's final error, which a diverged run does not move."""
-    return metrics.median_m(cell.tally.final_errors_m)
-
-
-def diverged_runs(cell: CellResult) -> int:
-    """Return the number of runs of a cell that diverged."""
-    return metrics.diverged_count(cell.tally.final_errors_m)
-
-
 def _diverged_text(cells: Sequence[CellResult]) -> str:
-    lost = [diverged_runs(cell) for cell in cells]
-    if not any(lost):
-        return "no run diverged"
-    return f"{sum(lost)} of {sum(cell.tally.runs for cell in cells):,} runs diverged"
-
-
-def worst_m(cell: CellResult) -> float:
-    """Return the final error of the worst run of a cell."""
-    return float(np.max(cell.tally.final_errors_m))
+    lost = sum(cell.tally.diverged() for cell in cells)
+    return (
+        f"{lost} of {sum(c.tally.runs for c in cells):,} runs diverged" if lost else NONE_DIVERGED
+    )
 
 
 def _honest_cells(findings: Findings) -> list[CellResult]:

@@ -26,11 +26,9 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -40,8 +38,6 @@ from companion.kernel import Matrix, Vector
 from tools.study import metrics
 from tools.study import study as studies
 from tools.study.study import Cell, CellResult, Metric, ResultRow, Study, StudyResult
-from tools.study.systems import FilterName, PlannerName
-from tools.study.trials import RunTally
 
 RESAMPLES = 2000
 BOOTSTRAP_SEED = 0
@@ -136,12 +132,11 @@ def _ends(values: Vector) -> tuple[float, float]:
 
 def _final_rmse(_: StudyResult, cell: CellResult) -> list[Numbers]:
     tally = cell.tally
-    finals_m = tally.final_errors_m
-    ends = interval(rmse_interval_m(finals_m))
+    ends, bound = interval(rmse_interval_m(tally.final_errors_m)), tally.rmse_bound_m[-1]
     return [
-        ("final_rmse_m", number(tally.rmse_m[-1]), ends, bound_text(tally.rmse_bound_m[-1])),
-        ("median_final_m", number(metrics.median_m(finals_m))),
-        ("diverged_runs", str(metrics.diverged_count(finals_m))),
+        ("final_rmse_m", number(tally.final_m), ends, bound_text(bound)),
+        ("median_final_m", number(tally.median_m)),
+        ("diverged_runs", str(tally.diverged())),
     ]
 
 
@@ -164,8 +159,8 @@ def _after_steps(_: StudyResult, cell: CellResult) -> list[Numbers]:
     return [(f"rmse_after_{steps}_steps_m", number(rmse_m[at]), "", bound_text(bound_m[at]))]
 
 
-def _single(name: str, format_value: Callable[[RunTally], str]) -> Measure:
-    return lambda _, cell: [(name, format_value(cell.tally))]
+def _range_offset(_: StudyResult, cell: CellResult) -> list[Numbers]:
+    return [("range_offset_m", number(cell.tally.range_offset_m[-1] / cell.tally.runs))]
 
 
 def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:
@@ -175,27 +170,18 @@ def _bound_ratio(_: StudyResult, cell: CellResult) -> list[Numbers]:
     if not 0.0 < bound_m < math.inf:
         return []
     scaled = None if ends is None else (ends[0] / bound_m, ends[1] / bound_m)
-    return [("bound_ratio", number(tally.rmse_m[-1] / bound_m), interval(scaled), "1")]
+    return [("bound_ratio", number(tally.final_m / bound_m), interval(scaled), "1")]
 
 
 def _rmse_ratio(result: StudyResult, cell: CellResult) -> list[Numbers]:
-    other = _reference(result, cell)
-    if other is None:
-        return []
-    ratio = float(cell.tally.rmse_m[-1] / other.rmse_m[-1])
-    ends = ratio_interval(cell.tally.final_errors_m, other.final_errors_m)
-    return [("rmse_ratio", number(ratio), interval(ends))]
-
-
-def _reference(result: StudyResult, cell: Cell) -> RunTally | None:
-    """Return Proposed with the same planner in the same case, unless the cell is that itself."""
-    if cell.system.filter == REFERENCE_FILTER:
-        return None
+    """Return the ratio to Proposed with the same planner in the same case, but of itself none."""
     for other in result.cells:
         is_same = other.case == cell.case and other.system.planner == cell.system.planner
-        if is_same and other.system.filter == REFERENCE_FILTER:
-            return other.tally
-    return None
+        if is_same and other.system.filter == REFERENCE_FILTER != cell.system.filter:
+            ours, theirs = cell.tally, other.tally
+            ends = ratio_interval(ours.final_errors_m, theirs.final_errors_m)
+            return [("rmse_ratio", number(ours.final_m / theirs.final_m), interval(ends))]
+    return []
 
 
 def _nees(_: StudyResult, cell: CellResult) -> list[Numbers]:
@@ -219,8 +205,8 @@ MEASURED: dict[Metric, Measure] = {
     "final_rmse_m": _final_rmse,
     "steps_to_2.5m": _steps,
     "rmse_after_steps_m": _after_steps,
-    "worst_final_m": _single("worst_final_m", lambda t: number(np.max(t.final_errors_m))),
-    "range_offset_m": _single("range_offset_m", lambda t: number(t.range_offset_m[-1] / t.runs)),
+    "worst_final_m": lambda _, cell: [("worst_final_m", number(cell.tally.worst_m))],
+    "range_offset_m": _range_offset,
     "bound_ratio": _bound_ratio,
     "rmse_ratio": _rmse_ratio,
     "nees": _nees,
@@ -230,18 +216,6 @@ MEASURED: dict[Metric, Measure] = {
 
 
 SUFFIX = ".yaml"
-_UNKNOWN_KEY = re.compile(r"(?P<key>[^.\s]+): unknown key; ")
-_UNKNOWN_NAME = re.compile(
-    r"(?P<list>filters|planners|metrics|paper|figures)\S*: "
-    r"(?P<problem>Invalid enum value '(?P<name>.*)')"
-)
-_KNOWN: dict[str, tuple[str, ...]] = {
-    "filters": get_args(FilterName),
-    "planners": get_args(PlannerName),
-    "metrics": get_args(Metric),
-    "paper": get_args(Metric),
-    "figures": get_args(studies.FigureName),
-}
 
 
 def studies_of(name: str, folder: Path) -> list[Study]:
@@ -265,7 +239,7 @@ def load_study(path: Path) -> Study:
     try:
         study = load_yaml(path, Study)
     except ConfigError as error:
-        raise ConfigError(_with_hint(str(error))) from None
+        raise ConfigError("; ".join(str(error).splitlines())) from None
     if bool(study.studies) + bool(study.sweeps) + (study.flights is not None) != 1:
         raise ConfigError(f"{path}: $: give `sweeps`, or `studies` of a collection, or `flights`")
     try:
@@ -289,19 +263,3 @@ def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]
             raise ConfigError(f"{path}: $.studies: {error}") from None
         found += _collected(inner, folder, (*above, path))
     return found
-
-
-def _with_hint(problem: str) -> str:
-    """Add the known key or name that a misspelt one may stand for."""
-    key, name = _UNKNOWN_KEY.search(problem), _UNKNOWN_NAME.search(problem)
-    if key:
-        names = [
-            field
-            for kind in (Study, studies.Sweep, studies.SystemGrid, studies.FlightGrid)
-            for field in kind.__struct_fields__
-        ]
-        return f"{problem[: key.end()]}{studies.hint(key['key'], names)}"
-    if name:
-        near = studies.hint(name["name"], _KNOWN[name["list"]])
-        return f"{problem[: name.start('problem')]}there is no `{name['name']}`; {near}"
-    return problem

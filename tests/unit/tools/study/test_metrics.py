@@ -5,13 +5,12 @@ import pytest
 
 from companion.estimation.target_estimate import r95_of_covariance_m
 from tools.study.metrics import (
-    diverged_count,
-    median_m,
     nees,
     nees_band,
     r95_m,
     steps_to_settle,
 )
+from tools.study.trials import RunTally
 
 
 @pytest.mark.parametrize(
@@ -28,13 +27,18 @@ def test_settled_is_after_the_last_step_above(rmse: list[float], steps: int | No
     assert steps_to_settle(np.array(rmse)) == steps
 
 
+def _ended(*errors_m: float) -> RunTally:
+    finals = np.array(errors_m)
+    return RunTally(finals.size, *[*[np.ones(1)] * 6, finals])
+
+
 def test_a_run_that_ends_nowhere_has_diverged() -> None:
-    assert diverged_count(np.array([0.1, 2.5, 2.6, np.nan, np.inf])) == 3
+    assert _ended(0.1, 2.5, 2.6, np.nan, np.inf).diverged() == 3
 
 
 def test_the_median_does_not_follow_one_run_and_counts_a_lost_one_as_far_off() -> None:
-    assert median_m(np.array([0.1, 0.2, 0.3, 0.4, 161.0])) == 0.3
-    assert median_m(np.array([0.1, 0.2, np.nan])) == 0.2
+    assert _ended(0.1, 0.2, 0.3, 0.4, 161.0).median_m == 0.3
+    assert _ended(0.1, 0.2, np.nan).median_m == 0.2
 
 
 def test_nees_is_the_mahalanobis_distance() -> None:

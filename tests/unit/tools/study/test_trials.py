@@ -47,7 +47,7 @@ def test_processes_change_nothing() -> None:
     shared = tallies_of([CAMPAIGN, other], 2)
     assert [tally.runs for tally in alone] == [60, 30]
     for one, two in zip(alone, shared, strict=True):
-        for name in RunTally.__slots__:
+        for name in RunTally._fields:
             assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
 
@@ -56,5 +56,5 @@ def test_a_tally_comes_back_from_its_bytes() -> None:
     whole = joined_in_order(parts)
     again = joined_in_order(unpacked(part.packed()) for part in parts)
     assert (whole.runs, again.runs) == (60, 60)
-    for name in RunTally.__slots__[1:]:
+    for name in RunTally._fields[1:]:
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
