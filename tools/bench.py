@@ -35,7 +35,7 @@ def parsed() -> argparse.Namespace:
     """Return the parsed command line."""
     parser = OneLineParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    filters = commands.add_parser("filters", help="filter updates, and a step of the window")
+    filters = commands.add_parser("filters", help="filter updates")
     filters.add_argument("--rounds", type=positive, default=ROUNDS, help="medians over so many")
     tick = commands.add_parser("tick", help="the control tick, and the longest wait of a setpoint")
     tick.add_argument("--seconds", type=positive, default=60, help="of flight in each case")

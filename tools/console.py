@@ -12,6 +12,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from time import monotonic
 from typing import NoReturn, TextIO, TypeVar
 
@@ -41,25 +42,8 @@ class OneLineParser(argparse.ArgumentParser):
         self.exit(EXIT_BAD_INPUT, f"{name}: {message} (--help shows how)\n")
 
 
-def positive(text: str) -> int:
-    """Return a whole number of at least 1.
-
-    Raises:
-        argparse.ArgumentTypeError: It is less, or no number.
-    """
-    return _at_least(1, text)
-
-
-def non_negative(text: str) -> int:
-    """Return a whole number of at least 0.
-
-    Raises:
-        argparse.ArgumentTypeError: It is less, or no number.
-    """
-    return _at_least(0, text)
-
-
-def _at_least(least: int, text: str) -> int:
+def at_least(least: int, text: str) -> int:
+    """Return a whole number of at least so much, or raise an ArgumentTypeError."""
     try:
         value = int(text)
     except ValueError:
@@ -67,6 +51,9 @@ def _at_least(least: int, text: str) -> int:
     if value < least:
         raise argparse.ArgumentTypeError(f"must be at least {least}")
     return value
+
+
+positive, non_negative = partial(at_least, 1), partial(at_least, 0)
 
 
 @contextmanager

@@ -23,8 +23,8 @@ from companion.io.files import write_json_atomic
 from sim_link.lab.pool import LOCAL
 from tools.campaign.flights import Trial
 from tools.campaign.runner import (
-    AMOUNTS,
     PARTS,
+    SIZES,
     CampaignTally,
     judge,
     report,
@@ -42,8 +42,9 @@ INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a campaign, or one of its trials again; return the exit code."""
-    parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=_epilog())
-    parser.add_argument("--campaign", choices=list(AMOUNTS), default="ci", help="how much of it")
+    epilog = "parts: " + "; ".join(f"{part.name}: {part.title}" for part in PARTS.values())
+    parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=epilog)
+    parser.add_argument("--campaign", choices=SIZES, default="ci", help="how much of it")
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")
@@ -64,10 +65,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return campaign(trials, arguments, facts)
     except CompanionError as error:
         parser.error(str(error))
-
-
-def _epilog() -> str:
-    return "parts: " + "; ".join(f"{part.name}: {part.title}" for part in PARTS.values())
 
 
 def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str, object]) -> int:

@@ -33,11 +33,6 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from companion.domain import RangingMeasurement
 from companion.estimation.filters.target_filter import FilterState
-from companion.estimation.window.map_kernels import (
-    DAMPING_START,
-    map_step,
-    measured_innovations,
-)
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.views import NO_LATCH
 from tools.study.case import PLANNER, Case, channel_draws, measured, stream
@@ -48,27 +43,19 @@ from tools.study.walk import (
     WalkFilter,
     WalkSteering,
     first_fix,
-    history_of,
     next_place,
     updated,
 )
 
-WINDOW = 200
-"""Measurements of the window whose solution is timed."""
-MAP_STEPS = 40
-"""Steps timed together; one is too short for the clock."""
-START_OFF_M = 2.0
-"""Distance east and north from the target to the start of the window's solution."""
 ROUNDS = 25
 SEED = 1
 SYSTEM = System("asymmetric_huber", "passive")
 
 FILTERPY_PREDICT, FILTERPY_UPDATE = "filterpy predict", "filterpy update"
 LOOP, OBJECT = "update, in a kernel's loop", "TargetFilter.update"
-MAP_STEP = f"MAP step of {WINDOW}"
 
 Seconds = dict[str, float]
-"""Time per update or step, by name."""
+"""Time per update, by name."""
 Contender = Callable[[], Seconds]
 
 
@@ -127,7 +114,6 @@ def verdicts_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]
     found = []
     for way, costs_us, name, peers, limit in (
         ("compiled", compiled_us, LOOP, (FILTERPY_PREDICT, FILTERPY_UPDATE), 0.1),
-        ("compiled", compiled_us, MAP_STEP, (FILTERPY_UPDATE,), 5.0),
         ("plain", plain_us, OBJECT, (FILTERPY_UPDATE,), 3.0),
     ):
         if costs_us is not None:
@@ -146,7 +132,6 @@ def contenders(walk: Walk) -> list[Contender]:
         lambda: filterpy_seconds(walk),
         lambda: {LOOP: step_seconds(walk, perf_counter)},
         lambda: object_seconds(walk),
-        lambda: window_seconds(walk),
     ]
 
 
@@ -244,37 +229,6 @@ def object_seconds(walk: Walk) -> Seconds:
     for place, measurement in seen:
         state = target_filter.update(state, measurement, place).state
     return {OBJECT: (perf_counter() - begun) / len(seen)}
-
-
-def window_seconds(walk: Walk) -> Seconds:
-    """Time the first step of a window's solution."""
-    rows, start = window_rows(walk), walk.belief.prior_mean.copy()
-    start[:2] = np.array(walk.case.target_enu_m) + START_OFF_M
-    begun = perf_counter()
-    stepped_often(rows, start, walk.belief, MAP_STEPS)
-    return {MAP_STEP: (perf_counter() - begun) / MAP_STEPS}
-
-
-@kernel
-def stepped_often(rows: Matrix, start: Vector, belief: WalkFilter, steps: int) -> float:
-    """Return the sum of the eastings at which `steps` first steps of the window end."""
-    limits, bounds, model = belief.thresholds, belief.bounds, belief.model
-    information, pull, total = belief.information, belief.pull, 0.0
-    for _ in range(steps):
-        offs = measured_innovations(rows, start, model)
-        moved, _, _, _, _ = map_step(
-            rows, start, offs, DAMPING_START, limits, bounds, information, pull, model
-        )
-        total += moved[0]
-    return total
-
-
-def window_rows(walk: Walk) -> Matrix:
-    """Return the first measurements as a window holds them, (WINDOW, COLUMNS)."""
-    rows = history_of(WINDOW, walk.belief)
-    rows[:, :2], rows[:, 2] = walk.track_enu_m[:WINDOW], 0.0
-    rows[:, 3:6] = walk.z[:WINDOW]
-    return rows
 
 
 def _plain_in_a_process(rounds: int) -> dict[str, float]:

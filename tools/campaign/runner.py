@@ -29,7 +29,7 @@ ALL = (
 PARTS: Mapping[str, Part] = {part.name: part for part in ALL}
 
 SIZES = ("sample", "ci", "long", "release")
-AMOUNTS_BY_PART: Mapping[str, tuple[float, float, float, float]] = {
+AMOUNTS: Mapping[str, tuple[float, float, float, float]] = {
     "missions": (12, 500, 3000, 10_000),
     "override": (20, 2000, 2000, 4000),
     "gaps": (0.01, 0.1, 10.0, 10.0),
@@ -44,10 +44,6 @@ AMOUNTS_BY_PART: Mapping[str, tuple[float, float, float, float]] = {
 }
 """Amount of each part in a campaign of each size: missions; take-overs; hours at each loss; kills;
 stops; signals; frames; frames; cuts; flights; hours."""
-AMOUNTS: Mapping[str, Mapping[str, float]] = {
-    size: {name: amounts[index] for name, amounts in AMOUNTS_BY_PART.items()}
-    for index, size in enumerate(SIZES)
-}
 
 
 def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
@@ -55,9 +51,9 @@ def trials_of(size: str, seed: int, only: Sequence[str] = ()) -> list[Trial]:
     check_parts(only)
     trials = [
         trial
-        for name, amount in AMOUNTS[size].items()
+        for name, amounts in AMOUNTS.items()
         if not only or name in only
-        for trial in PARTS[name].trials(amount, seed)
+        for trial in PARTS[name].trials(amounts[SIZES.index(size)], seed)
     ]
     return sorted(trials, key=lambda trial: -PARTS[trial.part].cost(trial))
 

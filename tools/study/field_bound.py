@@ -99,13 +99,14 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
     truth = np.array([*scenario.emitter.position_enu_m, scenario.emitter.height_m])
     antenna, channel = scenario.payload.antenna, scenario.channel
     sigma_rad = math.radians(antenna.sigma_deg or channel.bearing_sigma_deg)
+    step_sigma_m = in_the_field(channel).range_step_m / math.sqrt(12.0)
     partials, sigmas, about = [], [], []
     for time_s, east, north, up, *angles in way.tolist():
         place, attitude = (east, north, up), EulerAngles(*angles)
         away = truth - place
         if scenario.payload.measures != "bearing":
             partials.append([*(away / np.linalg.norm(away)), 0.0, 1.0])
-            sigmas.append(math.hypot(channel.range_sigma_m, _step_sigma_m(scenario)))
+            sigmas.append(math.hypot(channel.range_sigma_m, step_sigma_m))
             about.append((time_s, *place, 0.0))
         if scenario.payload.measures == "range":
             continue
@@ -127,10 +128,6 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
             sigmas.append(sigma_rad)
             about.append((time_s, *place, 1.0 + row))
     return np.array(partials), np.array(sigmas), np.array(about)
-
-
-def _step_sigma_m(scenario: Scenario) -> float:
-    return in_the_field(scenario.channel).range_step_m / math.sqrt(12.0)
 
 
 def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool) -> Matrix:

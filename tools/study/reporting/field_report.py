@@ -146,11 +146,8 @@ def _percent(share: str, ends: str = "") -> str:
 def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
     """Return the error over R95 of every report, both relative, a panel for each radio."""
     radios = list(dict.fromkeys(row.radio for row in rows))
-    columns = min(3, len(radios))
-    lines = -(-len(radios) // columns)
     with plots.look():
-        figure = plots.new_figure(2.5 * columns + 0.4, 2.4 * lines + 0.35)
-        grid = figure.subplots(lines, columns, squeeze=False)
+        figure, grid = plots.panels(len(radios), min(3, len(radios)), 2.5, 2.4)
         for axes, radio in zip(grid.flat, radios, strict=False):
             for kind, colour in CONFIG_COLOURS.items():
                 own = [r for r in rows if (r.radio, r.config) == (radio, kind) and r.is_reported]
@@ -164,8 +161,6 @@ def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
                 ends = [0.1, 100.0]
                 axes.plot(ends, [factor * end for end in ends], color=plots.MUTED, dashes=dashes)
             axes.set(xlabel="R95, m", ylabel="error, m", xlim=(0.1, 100.0), ylim=(0.01, 300.0))
-        for axes in grid.flat[len(radios) :]:
-            axes.set_visible(False)
         handles, names = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=len(names))
         caption = (

@@ -119,10 +119,15 @@ def flights_of(case: Case, seed: int) -> list[Flight]:
 
 def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Point]]:
     """Return polygons that together are an obstacle's shadow, cast by a target outside of it."""
-    return [
-        [a, b, _beyond(b, target_enu_m), _beyond(a, target_enu_m)]
-        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)
-    ]
+    target = np.array(target_enu_m)
+
+    def beyond(corner: Point) -> Point:
+        away = np.subtract(corner, target)
+        east_m, north_m = corner + FAR_M / max(np.hypot(*away), 1e-6) * away
+        return float(east_m), float(north_m)
+
+    edges = zip(corners, [*corners[1:], corners[0]], strict=True)
+    return [[a, b, beyond(b), beyond(a)] for a, b in edges]
 
 
 def sensitivities(
@@ -166,12 +171,6 @@ def _sensitivity(system: System, values: list[str], rows: list[ResultRow]) -> Se
     ours_m, paper_m, bound_m = map(np.array, own)
     at = np.array([numbers(value) for value in values])
     return Sensitivity(system, at, ours_m, low_m, high_m, paper_m, bound_m)
-
-
-def _beyond(corner: Point, target_enu_m: Point) -> Point:
-    (ce, cn), (te, tn) = corner, target_enu_m
-    scale = FAR_M / max(np.hypot(ce - te, cn - tn), 1e-6)
-    return (float(ce + scale * (ce - te)), float(cn + scale * (cn - tn)))
 
 
 WATCHED = (FIM, FIM_PRINTED, REACTIVE, CROSSING)
@@ -226,23 +225,17 @@ def _gradients(
     ring_m = np.array(candidate_ring_m(case.step_m, case.fim_headings))
     poses_m = candidate_poses_m(case.step_m, case.fim_headings)
     sigmas = (case.belief.range_sigma_m, math.radians(case.belief.bearing_sigma_deg))
+    sigma, model = np.array([*sigmas, math.inf]), model_of(None, near_target_terms=True)
     found: list[tuple[float, float]] = []
 
     def watch(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
         east_m, north_m = estimate.position_enu_m
         way_m = (east_m - place[0], north_m - place[1])
-        filtered = _criteria(joint, way_m, poses_m, sigmas)
+        away = np.array([*way_m, 0.0, 0.0])
+        filtered = 1.0 / worst_variances_m2(joint, away, poses_m, sigma, ALL_AROUND, model)
         printed = printed_criteria(*way_m, ring_m, *sigmas)
         found.append((information_gradient(filtered), information_gradient(printed)))
         return steer(step, place, estimate, joint)
 
     systems.flown(draws, case.start_enu_m, truth, scene_of(case), fuse, watch)
     return found
-
-
-def _criteria(covariance: Matrix, way_m: Point, poses_m: Matrix, sigmas: Point) -> Vector:
-    """Return the least eigenvalue of the marginal information, (k + 1,), 1/m^2; last: staying."""
-    mean, sigma = np.array([*way_m, 0.0, 0.0]), np.array([*sigmas, math.inf])
-    model = model_of(None, near_target_terms=True)
-    least: Vector = 1.0 / worst_variances_m2(covariance, mean, poses_m, sigma, ALL_AROUND, model)
-    return least

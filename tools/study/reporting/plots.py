@@ -24,6 +24,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from scipy.optimize import isotonic_regression
 
 from companion.estimation.filters.kalman import (
     asymmetric_huber_influence,
@@ -104,6 +105,18 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
 
 
+def panels(
+    count: int, columns: int, width_in: float, height_in: float, **shared: Any
+) -> tuple[Figure, Any]:
+    """Return a figure with a grid of axes, by row and column, that shows so many of them."""
+    rows = -(-count // columns)
+    figure = new_figure(width_in * columns + 0.4, height_in * rows + 0.35)
+    grid = figure.subplots(rows, columns, squeeze=False, **shared)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return figure, grid
+
+
 def finished(figure: Figure, name: str, title: str, caption: str, *, wide: bool = False) -> Drawing:
     """Return the figure as files, without dates and with names that follow from its own."""
     figure.draw_without_rendering()
@@ -164,19 +177,8 @@ def spread(wanted: Sequence[float], gap: float) -> list[float]:
 
     Groups that collide are centred on the mean of their wanted positions.
     """
-    groups: list[tuple[float, int]] = []  # the centre, and how many
-    for place in wanted:
-        groups.append((place, 1))
-        while len(groups) > 1:
-            (low, m), (high, n) = groups[-2:]
-            if high - low >= 0.5 * (m + n) * gap:
-                break
-            groups[-2:] = [((low * m + high * n) / (m + n), m + n)]
-    return [
-        centre + (index - 0.5 * (count - 1)) * gap
-        for centre, count in groups
-        for index in range(count)
-    ]
+    steps = gap * np.arange(len(wanted))
+    return (isotonic_regression(np.asarray(wanted) - steps).x + steps).tolist() if wanted else []
 
 
 CURVES_IN = (5.2, 3.5)
@@ -223,7 +225,9 @@ def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> F
         colour = PLANNER_COLOURS[system.planner]
         axes.plot([steps], [value], "D", color=colour, mfc="none", ms=5, clip_on=False, zorder=5)
     _metre_axis(axes)
-    _label_curves(figure, axes, [curve for curve in curves if not _has_double(curve, curves)])
+    bounds = {curve.system.planner: curve for curve in reversed(curves) if curve.is_bound}
+    named = [c for c in curves if not c.is_bound or bounds[c.system.planner] is c]
+    _label_curves(figure, axes, named)
     return figure
 
 
@@ -279,33 +283,20 @@ def _label_curves(figure: Figure, axes: Axes, curves: Sequence[Curve]) -> None:
 
 
 def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
-    """Draw the final RMSE of each system over a parameter.
-
-    The companion's, the paper's, and the bound.
-    """
+    """Draw the final RMSE of each system over a parameter: ours, the paper's, and the bound."""
     columns = min(3, len(found))
-    rows = math.ceil(len(found) / columns)
-    figure = new_figure(2.5 * columns + 0.4, 2.15 * rows + 0.35)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, grid = panels(len(found), columns, 2.5, 2.15, sharex=True, sharey=True)
     for axes, one in zip(grid.flat, found, strict=False):
         _draw_sensitivity(axes, one)
     handles, names = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper right", ncols=3)
-    for axes in grid.flat[len(found) :]:
-        axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel("final RMSE, m")
     for column in range(columns):
-        last = max(row for row in range(rows) if row * columns + column < len(found))
+        last = (len(found) - 1 - column) // columns
         grid[last, column].set_xlabel(xlabel)
         grid[last, column].tick_params(labelbottom=True)
     return figure
-
-
-def _has_double(curve: Curve, curves: Sequence[Curve]) -> bool:
-    """Return True if another line of the same planner already names a bound."""
-    bounds = [c for c in curves if c.is_bound and c.system.planner == curve.system.planner]
-    return curve.is_bound and bounds[0] is not curve
 
 
 def _metre_axis(axes: Axes) -> None:

@@ -9,7 +9,7 @@ from tools.study.reporting.plots import THEMED, finished, inline, look, losses, 
 
 
 def test_labels_that_do_not_collide_stay() -> None:
-    assert spread([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
+    assert spread([0.1, 0.5, 0.9], 0.1) == pytest.approx([0.1, 0.5, 0.9])
 
 
 def test_labels_that_collide_are_spread_about_their_middle() -> None:
