@@ -21,11 +21,10 @@ from companion.guidance.events import AutopilotFenceRead
 from companion.link import outbound
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.interface import EndpointParams, Journal, LinkSpec
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, message_id
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from companion.mav.flight_modes import set_mode_params
-from companion.mav.framing import message_id
 from sim_link.lab.faults.fault_effects import rewrite_frame
 from sim_link.lab.lockstep import MakeCompanion
 

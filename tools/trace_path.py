@@ -29,9 +29,9 @@ from companion.config.schema import CompanionConfig  # noqa: E402
 from companion.entry import ignore_broken_pipe  # noqa: E402
 from companion.estimation.tracker import FusionReport  # noqa: E402
 from companion.guidance.commands import SessionParams  # noqa: E402
+from companion.mav.codec import message_id  # noqa: E402
 from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
 from companion.mav.endpoint import Chunk  # noqa: E402
-from companion.mav.framing import message_id  # noqa: E402
 from sim_link.autopilot.scenario import Scenario  # noqa: E402
 from sim_link.lab.lockstep import Flight, MemoryJournal  # noqa: E402
 

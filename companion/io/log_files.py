@@ -30,9 +30,8 @@ from companion.guidance import events
 from companion.guidance.commands import Severity
 from companion.io.checkpoints import CheckpointError, decode_memory, encode_memory
 from companion.io.files import BackgroundFile, OnDamage, json_line, read_file
-from companion.mav.codec import CRC_EXTRA_BY_ID
-from companion.mav.endpoint import Address
-from companion.mav.framing import (
+from companion.mav.codec import (
+    CRC_EXTRA_BY_ID,
     HEADER_LENGTH,
     INCOMPAT_SIGNED,
     MAGIC,
@@ -42,6 +41,7 @@ from companion.mav.framing import (
     message_id,
     without_signature,
 )
+from companion.mav.endpoint import Address
 from companion.mav.signing import SETUP_SIGNING
 
 _STAMP = struct.Struct(">Q")

@@ -44,10 +44,9 @@ from companion.link.ranging_sources import (
     RangingMessage,
     RangingSource,
 )
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, header_of
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import header_of
 from companion.mav.signing import is_signed
 
 __all__ = ["COMPONENT_ID", "CompanionEndpoint", "Journal"]

@@ -35,6 +35,7 @@ from companion.link.conversion.geodesy_fit import GeodesyFit
 from companion.link.conversion.health_reports import HealthReports
 from companion.link.conversion.sender_clock import ClockStep, VehicleClock
 from companion.link.outbound import Ids, VehicleCommand
+from companion.mav.codec import HEADER_LENGTH
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import (
     OFFBOARD_NUMBER,
@@ -43,7 +44,6 @@ from companion.mav.flight_modes import (
     mode_of,
     other_mode_name,
 )
-from companion.mav.framing import HEADER_LENGTH
 
 FIRST_RETRY_S = 1.0
 MOST_ASKS = 4

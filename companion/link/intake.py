@@ -34,10 +34,16 @@ from enum import IntEnum
 
 from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
 from companion.link.binding import AutopilotBinding
-from companion.mav.codec import MavCodec
+from companion.mav.codec import (
+    CRC_LENGTH,
+    HEADER_LENGTH,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    MavCodec,
+    message_id,
+)
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import (
     UNSIGNED_ALLOWED,
     LinkSigning,

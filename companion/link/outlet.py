@@ -24,10 +24,9 @@ from companion.guidance.control_authority import ID_CONFLICT_S
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
-from companion.mav.codec import MavCodec
+from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2
 
 KEPT = 1024
 """Number of our latest frames that are kept: 20 s at the highest rate."""

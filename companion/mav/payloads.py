@@ -26,8 +26,8 @@ import struct
 from enum import Enum, IntEnum
 from typing import Protocol
 
+from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
 from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
 from companion.mav.signing import is_signed
 
 TARGETS_AT = 16

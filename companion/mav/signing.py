@@ -33,8 +33,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from companion.errors import ConfigError, LocalProtocolError
-from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import (
+from companion.mav.codec import (
     CRC_LENGTH,
     HEADER_LENGTH,
     INCOMPAT_SIGNED,
@@ -43,6 +42,7 @@ from companion.mav.framing import (
     frame_crc,
     message_id,
 )
+from companion.mav.dialect import Message, mavlink
 
 KEY_LENGTH = 32
 HASH_LENGTH = 6

@@ -38,9 +38,9 @@ from companion.io.log_files import (
 )
 from companion.io.mcap_file import read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
+from companion.mav.codec import message_id, sender_of
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import message_id, sender_of
 from companion.run import FlightView, ViewedJournal
 
 Json = dict[str, object]

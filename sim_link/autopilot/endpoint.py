@@ -22,9 +22,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from companion.mav.codec import MAGIC_V1
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import MAGIC_V1
 from sim_link.autopilot.aircraft import Occurrence
 from sim_link.autopilot.incidents import (
     AutopilotStall,

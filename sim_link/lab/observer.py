@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Protocol, TypeVar
 
 from companion.domain import FlightMode
-from companion.mav import framing
+from companion.mav import codec
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import Message
 from companion.mav.endpoint import Address
@@ -69,12 +69,12 @@ class Frame:
     @property
     def number(self) -> int:
         """The message id, read from the header."""
-        return framing.message_id(self.data)
+        return codec.message_id(self.data)
 
     @property
     def sender(self) -> tuple[int, int]:
         """System and component id, read from the header."""
-        start = 5 if self.data[0] == framing.MAGIC_V2 else 3
+        start = 5 if self.data[0] == codec.MAGIC_V2 else 3
         return self.data[start], self.data[start + 1]
 
     @property
@@ -174,14 +174,14 @@ def frames_in(data: bytes) -> list[bytes]:
     """Return the frames of a datagram, by the lengths in their headers or, among junk, by CRC."""
     frames = []
     start = 0
-    while start + SHORTEST <= len(data) and data[start] in framing.HEADER_LENGTH:
-        length = framing.HEADER_LENGTH[data[start]] + data[start + 1] + framing.CRC_LENGTH
-        if data[start] == framing.MAGIC_V2 and data[start + 2] & framing.INCOMPAT_SIGNED:
-            length += framing.SIGNATURE_LENGTH
+    while start + SHORTEST <= len(data) and data[start] in codec.HEADER_LENGTH:
+        length = codec.HEADER_LENGTH[data[start]] + data[start + 1] + codec.CRC_LENGTH
+        if data[start] == codec.MAGIC_V2 and data[start + 2] & codec.INCOMPAT_SIGNED:
+            length += codec.SIGNATURE_LENGTH
         if start + length > len(data):
             break
         frames.append(data[start : start + length])
         start += length
     if start == len(data):
         return frames
-    return framing.FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)
+    return codec.FrameSplitter(CRC_EXTRA_BY_ID).split(data, is_datagram=True)

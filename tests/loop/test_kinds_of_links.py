@@ -11,7 +11,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import FlightMode
 from companion.link.inbound import UNREAD
 from companion.link.interface import LinkParams
-from companion.mav.framing import message_id
+from companion.mav.codec import message_id
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.protocols.addressing import LinkMode, LinkSetup
 from sim_link.autopilot.scenario import Scenario

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from companion.io.log_files import read_tlog
+from companion.mav.codec import message_id, sender_of
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
-from companion.mav.framing import message_id, sender_of
 from sim_link.autopilot.scenario import FlavourName
 from sim_link.lab.mission.batch import MissionBatch, fly_task, with_autopilot
 from sim_link.lab.mission.in_memory import fly_in_memory

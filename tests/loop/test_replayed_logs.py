@@ -15,10 +15,9 @@ import pytest
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint
 from companion.link.inbound import UNREAD
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, message_id
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import message_id
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.lockstep import MemoryJournal
 from sim_link.lab.observer import Frame, Observer

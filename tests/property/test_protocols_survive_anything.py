@@ -6,9 +6,8 @@ import random
 
 import pytest
 
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, frame_crc
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
-from companion.mav.framing import frame_crc
 from companion.mav.payloads import targets_of_frame
 from sim_link.autopilot.ardupilot import firmware_profile as ardupilot
 from sim_link.autopilot.protocols import parameter_protocol

@@ -15,9 +15,9 @@ from enum import Enum
 
 import numpy as np
 
+from companion.mav.codec import message_id
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk, Endpoint
-from companion.mav.framing import message_id
 from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
 from sim_link.lab.conformance.rules import Flavour
 

@@ -31,10 +31,9 @@ from companion.flight_setup import build_endpoint, build_planner
 from companion.guidance.commands import SessionParams, Severity
 from companion.guidance.emitters import QueueParams
 from companion.kernel import IS_COMPILED
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, message_id
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import message_id
 from companion.warm_up import warm_up
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.lab.lockstep import Flight, Makers, MemoryJournal

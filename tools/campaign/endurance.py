@@ -21,10 +21,9 @@ from companion.config.schema import CompanionConfig
 from companion.diagnostics import process_use
 from companion.guidance.commands import SessionParams
 from companion.io.flight_recorder import FlightJournal
-from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.codec import CRC_EXTRA_BY_ID, frame_crc
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import frame_crc
 from companion.mav.signing import Signing, timestamp_at
 from sim_link.autopilot.scenario import AutopilotParams, BatteryParams, FlavourName, Scenario
 from sim_link.lab.faults import fault_models as faults

@@ -2,7 +2,7 @@
 
     .venv/bin/python -m tools.fuzz.mutate_guard [--json FILE] [--only TEXT] [PATH ...]
 
-PATH is a module or a folder (default: companion/guard), for example companion/mav/framing.py; its
+PATH is a module or a folder (default: companion/guard), for example companion/mav/codec.py; its
 tests are those of the same place under tests/unit. Each mutant runs in a forked process that loads
 the changed source instead of the file, so nothing on disk changes. Exit code 0: every mutant was
 killed, or is listed in mutate_guard_equivalents.txt beside this file with a reason; 1: one

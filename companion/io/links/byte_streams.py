@@ -33,9 +33,8 @@ import serial
 from companion.errors import LinkError
 from companion.io.links.link import MAX_READS, NOTICE, Link, Received, SendQueue, logger
 from companion.io.links.udp import resolve
-from companion.mav.codec import CRC_EXTRA_BY_ID
+from companion.mav.codec import CRC_EXTRA_BY_ID, FrameSplitter
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import FrameSplitter
 
 MAX_UNSENT_BYTES = 64 * 1024
 """Limit of streams whose speed is not known."""

@@ -27,10 +27,17 @@ from __future__ import annotations
 from collections.abc import Collection, Container
 from typing import NamedTuple
 
-from companion.mav.codec import CRC_EXTRA_BY_ID, MAX_MAVLINK1_ID, MavCodec
+from companion.mav.codec import (
+    CRC_EXTRA_BY_ID,
+    MAGIC_V2,
+    MAX_MAVLINK1_ID,
+    FrameSplitter,
+    MavCodec,
+    message_id,
+    sender_of,
+)
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
-from companion.mav.framing import MAGIC_V2, FrameSplitter, message_id, sender_of
 from companion.mav.payloads import boot_ms_of, targets_of_frame
 from companion.mav.signing import LinkSigning, Signing, SigningSetup, is_secret, setup_from
 from sim_link.autopilot.protocols.addressing import Channel, Newest, Outgoing

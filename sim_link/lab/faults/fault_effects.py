@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from companion.mav import framing
+from companion.mav import codec
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message as RadioRanging
 from companion.mav.dialect import mavlink
@@ -175,17 +175,17 @@ def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey |
         None, srcSystem=message.get_srcSystem(), srcComponent=message.get_srcComponent()
     )
     mav.seq = message.get_seq()
-    packed: bytes = message.pack(mav, force_mavlink1=frame[0] == framing.MAGIC_V1)
+    packed: bytes = message.pack(mav, force_mavlink1=frame[0] == codec.MAGIC_V1)
     return packed if not is_signed(frame) or key is None else _sign_like(packed, frame, key)
 
 
 def _sign_like(packed: bytes, model: bytes, key: SigningKey) -> bytes:
     """Return `packed` with the link id and timestamp of `model`'s signature."""
-    end = framing.HEADER_LENGTH[framing.MAGIC_V2] + packed[1]
-    head = packed[:2] + bytes((packed[2] | framing.INCOMPAT_SIGNED,)) + packed[3:end]
-    crc = framing.frame_crc(head, CRC_EXTRA_BY_ID[framing.message_id(packed)])
-    head += crc.to_bytes(framing.CRC_LENGTH, "little")
-    head += model[-framing.SIGNATURE_LENGTH : -HASH_LENGTH]
+    end = codec.HEADER_LENGTH[codec.MAGIC_V2] + packed[1]
+    head = packed[:2] + bytes((packed[2] | codec.INCOMPAT_SIGNED,)) + packed[3:end]
+    crc = codec.frame_crc(head, CRC_EXTRA_BY_ID[codec.message_id(packed)])
+    head += crc.to_bytes(codec.CRC_LENGTH, "little")
+    head += model[-codec.SIGNATURE_LENGTH : -HASH_LENGTH]
     return head + key.signature_of(head)
 
 
@@ -203,8 +203,8 @@ ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 def _number_of(data: bytes) -> int | None:
     """Return the message id; None where it is too short for a frame."""
-    is_long = len(data) > framing.HEADER_LENGTH[framing.MAGIC_V2]
-    return framing.message_id(data) if is_long else None
+    is_long = len(data) > codec.HEADER_LENGTH[codec.MAGIC_V2]
+    return codec.message_id(data) if is_long else None
 
 
 class ContentEffect(FaultEffect[G]):

@@ -42,10 +42,9 @@ from companion.domain import FlightMode
 from companion.errors import ConfigError
 from companion.io.links.transports import UdpBind, UdpConnect, udp_address
 from companion.io.shell import Clock, Shell
-from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec, frame_crc, message_id, without_signature
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Address, Chunk, OneShotEndpoint
-from companion.mav.framing import frame_crc, message_id, without_signature
 from companion.mav.signing import MAX_HEARD, Signing, SigningKey
 from sim_link.autopilot.incidents import (
     FaultRecord,

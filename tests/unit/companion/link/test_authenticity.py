@@ -9,10 +9,9 @@ from companion.guidance.phases import Phase
 from companion.link.endpoint import LOOK_PERIOD_S
 from companion.link.intake import REPORT_PERIOD_S
 from companion.link.interface import LinkParams, LinkRole
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MAGIC_V1, MAGIC_V2, MavCodec, frame_crc, without_signature
 from companion.mav.dialect import MAVLink_radio_ranging_message, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import MAGIC_V1, MAGIC_V2, frame_crc, without_signature
 from companion.mav.signing import (
     EPOCH_UNIX_S,
     ONE_LINK_EACH,

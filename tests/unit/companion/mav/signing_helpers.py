@@ -8,9 +8,8 @@ from typing import Any
 
 from pymavlink import mavutil
 
-from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec, frame_crc, message_id
 from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import frame_crc, message_id
 from companion.mav.signing import (
     ONE_LINK_EACH,
     Signing,

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
-from companion.mav.framing import (
+from companion.mav.codec import (
+    CRC_EXTRA_BY_ID,
     MAGIC_V2,
     FrameSplitter,
+    MavCodec,
     frame_crc,
     frame_end,
     header_of,
@@ -18,6 +18,7 @@ from companion.mav.framing import (
     sender_of,
     without_signature,
 )
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 
 LONGEST_FRAME = 280
 

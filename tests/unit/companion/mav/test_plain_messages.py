@@ -105,7 +105,7 @@ def test_signed_and_old_frames_are_left_to_pymavlink() -> None:
 
 
 def test_a_frame_of_a_newer_dialect_may_be_longer() -> None:
-    from companion.mav.framing import frame_crc
+    from companion.mav.codec import frame_crc
 
     frame = heartbeat()
     longer = bytes((frame[0], frame[1] + 2)) + frame[2:-2] + b"\x01\x02"

@@ -7,9 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.errors import LocalProtocolError
-from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec
+from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec, without_signature
 from companion.mav.dialect import mavlink
-from companion.mav.framing import without_signature
 from companion.mav.signing import (
     MAX_HEARD,
     MAX_TIMESTAMP,

@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import Message, mavlink
-from companion.mav.framing import sender_of
 from companion.mav.payloads import TargetedTimesync, boot_ms_of, targets_of_frame
 from companion.mav.signing import LinkSigning, Signing, SigningKey
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import POSITION_ONLY, mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import sender_of
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.incidents import OtherVehicle
 from sim_link.autopilot.scenario import Scenario

@@ -9,10 +9,9 @@ import pytest
 from companion.errors import ConfigError
 from companion.io.links.transports import parse_transport
 from companion.io.vehicle_lock import load_signing_key, store_signing_key
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
-from companion.mav.framing import sender_of
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario

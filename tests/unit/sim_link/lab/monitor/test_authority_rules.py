@@ -14,8 +14,8 @@ from companion.guidance.commands import SessionParams
 from companion.guidance.control_authority import Authority
 from companion.guidance.events import HeartbeatReceived
 from companion.guidance.phases import Phase
+from companion.mav.codec import message_id
 from companion.mav.dialect import mavlink
-from companion.mav.framing import message_id
 from sim_link.autopilot.incidents import BatteryCharge
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import CompanionKilled, LinkBlackout, Schedule
