@@ -77,8 +77,6 @@ accuracy of any vehicle position is undefined."""
 AZIMUTH, PLANAR, COSINES = 0, 1, 2
 """Content of the bearing row: an azimuth about the vertical, as in the paper, the azimuth of a
 planar array in its own plane, or direction cosines."""
-FIRST_AXIS = 3
-"""Index of an antenna's first axis in a sensor's pose, behind the position."""
 MIN_SINE2 = 1e-6
 """Lower limit of the squared sine of the angle to a planar array's normal, where an azimuth is
 undefined."""

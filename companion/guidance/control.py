@@ -192,7 +192,7 @@ class ControlTick:
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to give control"
-            text = "ready: automatic takeoff begins" if self._permit.is_wanted else guided
+            text = "ready: automatic takeoff begins" if context.is_launch_wanted else guided
             context.announce(severity, text, Topic.READINESS)
 
     def _advance_launch(self, finding: Finding | None, now_s: float) -> None:

@@ -184,21 +184,16 @@ class LaunchPermit:
         self._is_silence_announced = False
 
     @property
-    def is_wanted(self) -> bool:
-        """True if an automatic launch is configured and nothing has forbidden it."""
-        return self._context.is_launch_wanted
-
-    @property
     def is_given(self) -> bool:
         """True if the launch may begin now."""
         vehicle = self._context.vehicle
         is_down = vehicle.landed is LandedState.ON_GROUND and not vehicle.is_armed
-        return self.is_wanted and is_down
+        return self._context.is_launch_wanted and is_down
 
     def tick(self, now_s: float) -> None:
         """Check the vehicle, while waiting and in standby."""
         context, vehicle = self._context, self._context.vehicle
-        if not self.is_wanted or vehicle.objection is not None:
+        if not context.is_launch_wanted or vehicle.objection is not None:
             return
         if vehicle.vehicle_class is VehicleClass.HELICOPTER:
             context.forbid_launch()

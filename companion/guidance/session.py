@@ -122,6 +122,8 @@ class GuidanceSession:
         )
         self.vehicle, self.fencing, self.authority = context.vehicle, fencing, context.authority
         self.flight_plan, self.steering = context.flight_plan, context.steering
+        self.searching = context.searching
+        """Record of the search until contact."""
         self.handover = Handover(self.context)
         self._watches = Watches(self.context)
         scheduler = EmitterScheduler(self.context, self._watches.inputs)
@@ -227,11 +229,6 @@ class GuidanceSession:
     def has_found_all(self) -> bool:
         """True if something was reported and no other emitter is left."""
         return self.result is not None and self.context.emitters.are_all_reported
-
-    @property
-    def searching(self) -> Searching:
-        """Record of the search until contact."""
-        return self.context.searching
 
     @property
     def has_finished(self) -> bool:

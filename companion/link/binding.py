@@ -387,7 +387,7 @@ class AutopilotBinding:
 
     def _is_possible(self, sign: Sign, now_s: float) -> bool:
         """Return True if our vehicle, or its restart, may have sent a sign of another address."""
-        if self._course.is_young_beside(sign, now_s):
+        if self._course.is_young(sign, now_s):
             return True
         is_clock = self.hardware.uid is not None or self._course.is_of_clock(sign, now_s)
         return is_clock and self._course.is_of_main(sign, now_s)

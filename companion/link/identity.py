@@ -222,7 +222,7 @@ class IdentityCourse:
         self._follow_other(sign, now_s)
         if self._is_left(now_s):
             return self._judge_other(sign, is_of_clock, now_s)
-        is_restart = late_s > LATE_S and self._is_young(sign, now_s)
+        is_restart = late_s > LATE_S and self.is_young(sign, now_s)
         return SignVerdict.GOES_ON if is_of_clock or is_restart else SignVerdict.WITHHELD
 
     @property
@@ -271,13 +271,10 @@ class IdentityCourse:
             return f"boot clocks {late_s:.0f} s apart"
         return f"places {self.main.away_m(sign):.0f} m apart"
 
-    def is_young_beside(self, sign: Sign, now_s: float) -> bool:
+    def is_young(self, sign: Sign, now_s: float) -> bool:
         """Return True if a sign may be of this vehicle after a restart."""
-        return self.main is not None and self._is_young(sign, now_s)
-
-    def _is_young(self, sign: Sign, now_s: float) -> bool:
-        assert self.main is not None
-        return sign.stamp_s <= now_s - self.main.heard_s + YOUNG_S
+        main = self.main
+        return main is not None and sign.stamp_s <= now_s - main.heard_s + YOUNG_S
 
     @property
     def _clocks_s(self) -> float:
@@ -335,7 +332,7 @@ class IdentityCourse:
         is_slip = abs(late_s) <= SLIP_S and is_near
         is_jump = is_of_clock and is_in_sequence
         is_held_up = is_in_sequence and is_near and 0.0 <= late_s <= silent_s + LATE_S
-        if is_slip or is_jump or is_held_up or self._is_young(sign, now_s):
+        if is_slip or is_jump or is_held_up or self.is_young(sign, now_s):
             self.adopt_other()
             return SignVerdict.GOES_ON
         self.difference = self.describe(sign, now_s)

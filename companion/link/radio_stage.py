@@ -271,25 +271,23 @@ class RadioStage:
         said_m, settings = reading.range_m, self.setup.settings
         if said_m is None:
             return None
-        if said_m == 0.0 and settings.zero == "refuse":
-            self._refuse("range of exactly 0: nothing measured")
-            return None
-        if said_m > REACH_M:
-            self._refuse("range above 100 km: beyond every radio")
-            return None
         range_m = (said_m - settings.range_offset_m) / settings.range_scale
-        if not math.isfinite(range_m):
-            self._refuse("range is not finite")
-            return None
-        if is_overflow_m(said_m):
-            self._refuse("range of all bits set, or all nines: nothing measured")
-            return None
-        if range_m < settings.range_min_m:
-            self._refuse("range below range_min_m")
-            return None
-        if settings.range_max_m is not None and range_m > settings.range_max_m:
-            self._refuse("range above range_max_m")
-            return None
+        most_m = math.inf if settings.range_max_m is None else settings.range_max_m
+        is_finite = math.isfinite(range_m)
+        is_refused_zero = said_m == 0.0 and settings.zero == "refuse"
+        is_code = is_finite and is_overflow_m(said_m)
+        checks = (
+            (is_refused_zero, "range of exactly 0: nothing measured"),
+            (said_m > REACH_M, "range above 100 km: beyond every radio"),
+            (not is_finite, "range is not finite"),
+            (is_code, "range of all bits set, or all nines: nothing measured"),
+            (range_m < settings.range_min_m, "range below range_min_m"),
+            (range_m > most_m, "range above range_max_m"),
+        )
+        for is_wrong, reason in checks:
+            if is_wrong:
+                self._refuse(reason)
+                return None
         return range_m
 
     def _bearing_rad(self, reading: RadioReading) -> float | None:

@@ -18,8 +18,6 @@ from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
 LIGHT_MPS = 299_792_458.0
 ONE_WAY_M_PER_S = LIGHT_MPS / 2.0
 """Metres of range for each second of a round trip."""
-LARGEST_NUMBER = 1e15
-"""Above it no quantity of a radio makes sense; times in microseconds since 1970 are just above."""
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 _WHOLE = re.compile(r"0|[1-9][0-9]{0,18}")

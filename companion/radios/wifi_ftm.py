@@ -20,7 +20,6 @@ from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number, ratio
 
 LONGEST_M = 100_000.0
 """An unsigned distance that went below zero is far beyond this."""
-INVALID_RTT_PS = 2**32 - 1
 LEAST_SHARE = 0.125
 """Least share of a burst's frames that must be valid: one of eight, the shortest burst."""
 BY_SHARE: Mapping[str, object] = {
