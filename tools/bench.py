@@ -13,7 +13,7 @@ from pathlib import Path
 from companion import kernel_cache
 from companion.entry import ignore_broken_pipe
 from tools.benches.filter_bench import ROUNDS, print_filters
-from tools.benches.tick_bench import EMITTERS, LIMIT_MS, ROOT, TickCost, tick_cases
+from tools.benches.tick_bench import EMITTERS, LIMIT_MS, ROOT, tick_cases
 from tools.console import OneLineParser, positive
 
 
@@ -54,16 +54,11 @@ def print_ticks(arguments: argparse.Namespace) -> None:
     for case in tick_cases(kinds, arguments.emitters):
         cost = case.measured(ROOT, arguments.seconds)
         verdict = "met" if cost.is_met else "NOT MET"
-        text = f"{case.title:34s} {tick_figures(cost)}  limit {cost.limit_ms:g}: {verdict}"
+        text = f"{case.title:34s} {cost.figures}  limit {cost.limit_ms:g}: {verdict}"
         if arguments.beside is not None:
             earlier = case.measured(arguments.beside.resolve(), arguments.seconds)
-            text += f"   beside it {tick_figures(earlier)}"
+            text += f"   beside it {earlier.figures}"
         print(text, flush=True)
-
-
-def tick_figures(cost: TickCost) -> str:
-    """Return the three figures of a case."""
-    return f"{cost.tick_worst_ms:7.2f}{cost.tick_p99_ms:7.2f}{cost.stretch_worst_ms:8.2f}"
 
 
 if __name__ == "__main__":

@@ -81,14 +81,19 @@ def main() -> int:
 def measure(client: str, seconds: int, kernels: Path | None) -> Use:
     """Run the client on a simulator, and sample it twice."""
     port = free_udp_port()
-    with tempfile.TemporaryDirectory() as folder, simulator(port):
-        environment = environment_of(client, kernels)
-        with running(command_of(client, port, Path(folder)), environment) as process:
-            time.sleep(SETTLING_S)
-            before_s, began_s = processor_s(process.pid), time.monotonic()
-            time.sleep(seconds)
-            used_s, took_s = processor_s(process.pid) - before_s, time.monotonic() - began_s
-            return Use(client, round(resident_mb(process.pid), 1), round(100 * used_s / took_s, 2))
+    path = f"{kernels.resolve()}:{ROOT}" if client in AHEAD and kernels else str(ROOT)
+    switch = "1" if client == "plain" else "0"
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": switch}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        simulator(port),
+        running(command_of(client, port, Path(folder)), environment) as process,
+    ):
+        time.sleep(SETTLING_S)
+        before_s, began_s = processor_s(process.pid), time.monotonic()
+        time.sleep(seconds)
+        used_s, took_s = processor_s(process.pid) - before_s, time.monotonic() - began_s
+        return Use(client, round(resident_mb(process.pid), 1), round(100 * used_s / took_s, 2))
 
 
 def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
@@ -108,13 +113,6 @@ def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
         subprocess.run([*program, "warm-up"], check=True, stdout=subprocess.DEVNULL)
     options = ("--connect", f"udp:127.0.0.1:{port}", "--config", str(config), "--quiet")
     return *program, *options
-
-
-def environment_of(client: str, kernels: Path | None) -> dict[str, str]:
-    """Return the environment with the kernels for a client."""
-    path = f"{kernels.resolve()}:{ROOT}" if client in AHEAD and kernels else str(ROOT)
-    switch = "1" if client == "plain" else "0"
-    return {**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": switch}
 
 
 @contextmanager

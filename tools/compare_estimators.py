@@ -117,11 +117,8 @@ def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
     batch = Batch.of(rows, params.filter)
     for name, estimate in RIVALS.items():
         began_s = time.process_time()
-        add(
-            name,
-            began_s,
-            score_of(estimate(batch, np.random.default_rng(seed)), truth, None, None),
-        )
+        samples = estimate(batch, np.random.default_rng(seed))
+        add(name, began_s, score_of(samples, truth, None, None))
     return found
 
 

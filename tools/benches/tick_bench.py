@@ -80,6 +80,11 @@ class TickCost:
         return LIMIT_MS[self.kernels]
 
     @property
+    def figures(self) -> str:
+        """The three figures in columns, ms."""
+        return f"{self.tick_worst_ms:7.2f}{self.tick_p99_ms:7.2f}{self.stretch_worst_ms:8.2f}"
+
+    @property
     def is_met(self) -> bool:
         """Return True if nothing took longer than the limit."""
         return self.stretch_worst_ms <= self.limit_ms
@@ -144,13 +149,11 @@ class Timed:
 def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
     """Fly one case in this process."""
     is_flying = place == "flying"
-    places = [(25.0 + 60.0 * (n % 4) / 3.0, 30.0 + 55.0 * (n // 4) / 3.0) for n in range(emitters)]
-    several = (
-        ()
-        if emitters == 1
-        else tuple(
-            EmitterParams(emitter_id=7 + n, position_enu_m=where) for n, where in enumerate(places)
+    several = tuple(
+        EmitterParams(
+            emitter_id=7 + n, position_enu_m=(25.0 + 20.0 * (n % 4), 30.0 + 55.0 * (n // 4) / 3.0)
         )
+        for n in range(emitters if emitters > 1 else 0)
     )
     ids = tuple(each.emitter_id for each in several)
     payload = PayloadParams(rate_hz=RATE_HZ, min_altitude_m=3.0 if is_flying else 0.0)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import gc
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -180,8 +179,12 @@ class Usage:
 
     @property
     def slope_mb_per_h(self) -> float:
-        """Growth of memory after it has settled, MB/h."""
-        return slope_after(self.hours, self.memory_mb, min(SETTLED_H, 0.5 * self.hours[-1]))
+        """Growth of memory after it has settled, MB/h: the slope of a line through its samples."""
+        hours, memory_mb = np.array(self.hours), np.array(self.memory_mb)
+        chosen = hours >= min(SETTLED_H, 0.5 * hours[-1])
+        if chosen.sum() < 2:
+            return 0.0
+        return float(np.polyfit(hours[chosen], memory_mb[chosen], 1)[0])
 
     def findings(self) -> list[str]:
         """Return the resources that grew; memory is judged only over enough hours."""
@@ -216,15 +219,6 @@ def soak(trial: Trial) -> TrialOutcome:
             "soak_log_bytes": float(usage.log_bytes),
         },
     )
-
-
-def slope_after(hours: Sequence[float], values: Sequence[float], since_h: float) -> float:
-    """Return the slope of a line through the values from a time on, per hour."""
-    chosen = [(h, v) for h, v in zip(hours, values, strict=True) if h >= since_h]
-    if len(chosen) < 2:
-        return 0.0
-    times, wanted = zip(*chosen, strict=True)
-    return float(np.polyfit(times, wanted, 1)[0])
 
 
 def _soak_flight(seed: int, directory: Path) -> tuple[Flight, Monitor, FlightJournal]:

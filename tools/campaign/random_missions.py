@@ -172,14 +172,6 @@ def _scenario(
     )
 
 
-def _planner(kind: schema.CrossingKind | schema.PatternKind) -> schema.PlannerConfig:
-    match kind:
-        case "latched_crossing" | "fim":
-            return schema.PlannerConfig(kind=kind)
-        case _:
-            return schema.PlannerConfig(kind="survey", search=kind)
-
-
 def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
     limits = schema.LimitsConfig(
         fence_enu_m=place.fence_enu_m,
@@ -191,7 +183,11 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
         engage="operator" if is_operated else "auto", altitude_m=ALTITUDE_M, stop_confirm_s=3.0
     )
     kind = dice.one(PLANNERS)
-    planner = _planner(kind)
+    match kind:
+        case "latched_crossing" | "fim":
+            planner = schema.PlannerConfig(kind=kind)
+        case _:
+            planner = schema.PlannerConfig(kind="survey", search=kind)
     vehicle = VehicleParams(setpoint=dice.one(("local_ned", "global_int")))
     search = SearchAreaParams()
     if planner.kind != "survey" and dice.happens(0.5):

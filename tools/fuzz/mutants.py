@@ -93,8 +93,11 @@ def changes_of(node: ast.AST) -> Iterator[ast.AST | None]:
         case ast.Constant(value=(int() | float()) as number):
             yield ast.Constant(number + 1)
             yield ast.Constant(number - 1)
-        case ast.Call():
-            yield from _changed_calls(node)
+        case ast.Call(func=ast.Name(id=name)) if name in EXCHANGED_CALLS:
+            opposite = ast.Name(EXCHANGED_CALLS[name], ast.Load())
+            yield ast.Call(opposite, node.args, node.keywords)
+        case ast.Call(func=ast.Name(id="abs")):
+            yield node.args[0]
         case ast.If() | ast.While():
             for value in (True, False):
                 if isinstance(node, ast.While) and value:
@@ -102,25 +105,14 @@ def changes_of(node: ast.AST) -> Iterator[ast.AST | None]:
                 changed = copy.copy(node)
                 changed.test = ast.Constant(value)
                 yield changed
-        case ast.Return(value=ast.expr()) if not _is_false(node.value):
+        case ast.Return(value=ast.Constant(value=None | False) | None):
+            return  # false already
+        case ast.Return():
             yield ast.Return(ast.Constant(None))
         case (
             ast.Expr() | ast.Assign() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break()
         ):
             yield None
-
-
-def _changed_calls(node: ast.Call) -> Iterator[ast.AST]:
-    name = node.func.id if isinstance(node.func, ast.Name) else ""
-    if name in EXCHANGED_CALLS:
-        yield ast.Call(ast.Name(EXCHANGED_CALLS[name], ast.Load()), node.args, node.keywords)
-    if name == "abs":
-        yield node.args[0]
-
-
-def _is_false(node: ast.expr | None) -> bool:
-    """Return True if it is None already, or a constant equivalent."""
-    return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
 
 
 def _is_skipped(node: ast.AST, depth: int) -> bool:

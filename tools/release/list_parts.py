@@ -14,7 +14,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,15 +72,12 @@ def run(*command: str | Path) -> None:
 
 def licence_of(part: dict[str, Any]) -> str:
     """Return the licence from a part's metadata: an expression, identifiers, or names."""
-    return " AND ".join(dict.fromkeys(_licences(part))) or "not stated"
-
-
-def _licences(part: dict[str, Any]) -> Iterator[str]:
+    found = []
     for entry in part.get("licenses", ()):
         licence = entry.get("license", {})
         name = entry.get("expression") or licence.get("id") or licence.get("name")
-        if name:
-            yield str(name).splitlines()[0]
+        found += str(name).splitlines()[:1] if name else []
+    return " AND ".join(dict.fromkeys(found)) or "not stated"
 
 
 if __name__ == "__main__":

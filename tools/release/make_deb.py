@@ -36,8 +36,8 @@ PACKAGING = ROOT / "packaging"
 PYTHONS = ("3.11", "3.13")
 """Debian 12 and Raspberry Pi OS of 2023; Debian 13 and Raspberry Pi OS of 2025."""
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
-GLIBCS = ("2_28", "2_27", "2_26", "2_17", "2_12", "2_5")
-"""glibc versions of the accepted wheels: Debian 12 has 2.36."""
+GLIBCS = ("_2_28", "_2_27", "_2_26", "_2_17", "_2_12", "_2_5", "2014", "2010", "1")
+"""glibc versions, or years, of the accepted wheels: Debian 12 has 2.36."""
 EXTRAS = (
     f"companion-guidance[mcap]=={__version__}",
     f"companion-sim-link=={__version__}",
@@ -67,7 +67,9 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=ROOT / "dist")
     options = parser.parse_args()
     if "SOURCE_DATE_EPOCH" not in os.environ:
-        os.environ["SOURCE_DATE_EPOCH"] = last_commit_s()
+        command = ("git", "-C", str(ROOT), "log", "-1", "--format=%ct")
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        os.environ["SOURCE_DATE_EPOCH"] = done.stdout.strip()
     work = ROOT / "build/deb" / options.architecture
     tree = work / "tree"
     shutil.rmtree(tree, ignore_errors=True)
@@ -88,12 +90,6 @@ def native_architecture() -> str:
 def debian_version(version: str) -> str:
     """Return the version in dpkg's order: a candidate comes before its release."""
     return re.sub(r"(?<=\d)(a|b|rc)(?=\d+$)", r"~\1", version)
-
-
-def last_commit_s() -> str:
-    """Return the time of the packaged commit, seconds since 1970."""
-    command = ("git", "-C", str(ROOT), "log", "-1", "--format=%ct")
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -> None:
@@ -169,10 +165,7 @@ def environment_for(program: str, version: str, own: Path) -> str:
 def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> list[Path]:
     """Return binary wheels of the pinned versions; pip caches its downloads."""
     shutil.rmtree(place, ignore_errors=True)
-    platforms = [f"--platform=manylinux_{libc}_{MACHINES[architecture]}" for libc in GLIBCS]
-    platforms += [
-        f"--platform=manylinux{year}_{MACHINES[architecture]}" for year in (2014, 2010, 1)
-    ]
+    platforms = [f"--platform=manylinux{libc}_{MACHINES[architecture]}" for libc in GLIBCS]
     options = ["--only-binary=:all:", "--implementation=cp", f"--python-version={version}"]
     files = [f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}"]
     pip = [sys.executable, "-m", "pip", "download", "--quiet", f"--dest={place}"]

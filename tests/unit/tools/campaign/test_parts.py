@@ -10,7 +10,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.observer import Frame, Lane
 from tools.campaign.checkpointing import MemoryStore
-from tools.campaign.endurance import FrameMaker, Usage, slope_after
+from tools.campaign.endurance import FrameMaker, Usage
 from tools.campaign.flights import Trial
 from tools.campaign.link_trials import Gaps, pauses_of
 from tools.campaign.process_trials import damages
@@ -91,8 +91,8 @@ def test_random_frames_are_frames() -> None:
 def test_a_slope_is_told_from_after_the_settling() -> None:
     hours = [0.5 * i for i in range(10)]
     values = [10.0 if h < 1.0 else 20.0 + 0.3 * h for h in hours]
-    assert slope_after(hours, values, 1.0) == pytest.approx(0.3)
-    assert slope_after([0.1], [5.0], 0.0) == 0.0
+    assert Usage(hours, values).slope_mb_per_h == pytest.approx(0.3)
+    assert Usage([0.1], [5.0]).slope_mb_per_h == 0.0
 
 
 DAY_H = [0.25 * i for i in range(1, 97)]
