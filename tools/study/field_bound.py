@@ -34,7 +34,7 @@ from tools.study.field_flights import FieldFlight, flights_of
 from tools.study.reporting.study_tables import studies_of
 
 STEP = 1e-4
-COMPASS, OFFSET, PARAMETERS = 3, 4, 5
+COMPASS = 3
 NORMALS = np.random.default_rng(0).standard_normal((4000, 2))
 
 
@@ -149,8 +149,9 @@ def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool)
     noise += wander(navigation.sigma_m, navigation.time_constant_s) * (
         partials[:, :2] @ partials[:, :2].T
     )
-    height = wander(navigation.height_sigma_m, navigation.height_time_constant_s)
-    noise += height * np.outer(partials[:, 2], partials[:, 2])
+    noise += wander(navigation.height_sigma_m, navigation.height_time_constant_s) * np.outer(
+        partials[:, 2], partials[:, 2]
+    )
     if reflects:
         p, mean_m = channel.p_nlos, channel.range_bias_mean_m
         bend_rad = math.sqrt(p) * math.radians(channel.bearing_bias_sigma_deg)
@@ -160,10 +161,9 @@ def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool)
         is_alike = about[:, None, 4] == about[None, :, 4]
         noise += is_alike * np.outer(size, size) * np.exp(-apart / max(channel.correlation_m, 1e-3))
     height_m2 = navigation.height_sigma_m**2 + priors.height_m**2
-    prior = np.zeros(PARAMETERS)
-    prior[2], prior[COMPASS] = 1.0 / height_m2, 1.0 / max(priors.turn_rad, 1e-3) ** 2
-    prior[OFFSET] = 1.0 / max(priors.offset_m, 1e-3) ** 2
-    information = partials.T @ np.linalg.solve(noise, partials) + np.diag(prior)
+    least_m2, least_rad2 = max(priors.offset_m, 1e-3) ** 2, max(priors.turn_rad, 1e-3) ** 2
+    prior = np.diag([0.0, 0.0, 1.0 / height_m2, 1.0 / least_rad2, 1.0 / least_m2])
+    information = partials.T @ np.linalg.solve(noise, partials) + prior
     return np.asarray(np.linalg.inv(information)[:2, :2])
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import gammaincinv, log_ndtr
 
 from companion.estimation.target_estimate import MIN_AXIS_RATIO, r95_of_covariance_m
-from companion.kernel import Matrix, Vector, kernel
+from companion.kernel import Matrix, Vector
 from sim_link.world.environment import ChannelParams
 
 SETTLED_STEP = 20
@@ -205,7 +205,6 @@ def modified_normal(x: Vector, sigma: float, mean: float) -> tuple[Vector, Vecto
     return density, (normal(x, sigma)[0] - density) / mean
 
 
-@kernel
 def position_bounds_m2(
     track_enu_m: Matrix,
     target_enu_m: Vector,
@@ -215,39 +214,25 @@ def position_bounds_m2(
 ) -> Vector:
     """Return the least trace of the position's covariance after every step of a track, m^2.
 
-    The track is (steps, 2); the bound is infinite where the position is unobservable. The
-    information is summed up entry by entry: position, position with each offset, offset; the
-    offsets do not mix, so that the position's marginal information is found without a matrix
-    inverse. Of each measurement it is (steps,), of the offsets before the first (2,), 1/m^2 and
+    The track is (steps, 2); the bound is infinite where the position is unobservable. The offsets
+    do not mix, so that the position's marginal information is found without a matrix inverse. Of
+    each measurement the information is (steps,), of the offsets before the first (2,), 1/m^2 and
     1/rad^2: zeros if they are unknown constants.
     """
-    steps = track_enu_m.shape[0]
-    bounds = np.full(steps, np.inf)
-    ee = en = nn = er = nr = eb = nb = 0.0
-    rr, bb = prior[0], prior[1]
-    for step in range(steps):
-        by_range, by_bearing = range_per_m2[step], bearing_per_rad2[step]
-        de, dn = target_enu_m[0] - track_enu_m[step, 0], target_enu_m[1] - track_enu_m[step, 1]
-        distance = math.hypot(de, dn)
-        inverse = 1.0 / distance if distance > MIN_DISTANCE_M else 0.0
-        ue, un = de * inverse, dn * inverse
-        ve, vn = -un * inverse, ue * inverse
-        ee += by_range * ue * ue + by_bearing * ve * ve
-        en += by_range * ue * un + by_bearing * ve * vn
-        nn += by_range * un * un + by_bearing * vn * vn
-        er += by_range * ue
-        nr += by_range * un
-        eb += by_bearing * ve
-        nb += by_bearing * vn
-        rr += by_range
-        bb += by_bearing
-        if rr <= 0.0 or bb <= 0.0:
-            continue
-        me = ee - er * er / rr - eb * eb / bb
-        mn = nn - nr * nr / rr - nb * nb / bb
-        cross = en - er * nr / rr - eb * nb / bb
-        trace, det = me + mn, me * mn - cross * cross
-        least = LEAST_SHARE * (ee + nn)
-        if trace > least and det > least * trace:
-            bounds[step] = trace / det
-    return bounds
+    away = target_enu_m - track_enu_m
+    distance = np.hypot(*away.T)
+    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=distance > MIN_DISTANCE_M)
+    ue, un = away.T * inverse
+    total = marginal = np.zeros((3, len(track_enu_m)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for weight, known, (e, n) in (
+            (range_per_m2, prior[0], (ue, un)),
+            (bearing_per_rad2, prior[1], (-un * inverse, ue * inverse)),
+        ):
+            own = np.cumsum(weight * np.array((e * e, e * n, n * n)), axis=1)
+            with_e, with_n = np.cumsum(weight * np.array((e, n)), axis=1)
+            mixed = np.array((with_e * with_e, with_e * with_n, with_n * with_n))
+            total, marginal = total + own, marginal + own - mixed / (known + np.cumsum(weight))
+        trace, det = marginal[0] + marginal[2], marginal[0] * marginal[2] - marginal[1] ** 2
+        least = LEAST_SHARE * (total[0] + total[2])
+        return np.where((trace > least) & (det > least * trace), trace / det, np.inf)

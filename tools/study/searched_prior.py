@@ -96,21 +96,15 @@ def _fix(
         after_s = at_s - began_s
         if after_s > LONGEST_S:
             break
-        measurement = RangingMeasurement(
-            emitter_id=1,
-            measured_at_s=at_s,
-            range_m=range_m,
-        )
+        measurement = RangingMeasurement(1, at_s, range_m=range_m)
         tracker.fuse(measurement, (place[0], place[1], place[2]), at_s)
         estimate = tracker.estimate(at_s)
         if estimate is None:
             continue
         weights = probabilities(tracker.hypotheses)
         away = [math.dist(h.place_enu_m, emitter) > APART_M for h in tracker.hypotheses]
-        is_open = (
-            any(w >= AMBIGUOUS_PROBABILITY and a for w, a in zip(weights, away, strict=True))
-            or float(sum(w for w, a in zip(weights, away, strict=True) if a)) > 0.5
-        )
+        elsewhere = [w for w, is_away in zip(weights, away, strict=True) if is_away]
+        is_open = max(elsewhere, default=0.0) >= AMBIGUOUS_PROBABILITY or sum(elsewhere) > 0.5
         if is_open:
             last_open_s = math.inf
         elif math.isinf(last_open_s):
@@ -126,9 +120,10 @@ def _fix(
 def table_of_pairs(found: Sequence[FixPair | None]) -> tuple[str, bool]:
     """Return the comparison as text, and True if no fix is later and other places vanish sooner."""
     pairs = [pair for pair in found if pair is not None]
-    decided = np.array([(p.without.decided_s, p.with_prior.decided_s) for p in pairs])
-    fixed = np.array([(p.without.fix_s, p.with_prior.fix_s) for p in pairs])
-    right = np.array([(p.without.right_share, p.with_prior.right_share) for p in pairs])
+    decided, fixed, right = (
+        np.array([[getattr(fix, name) for fix in (p.without, p.with_prior)] for p in pairs])
+        for name in ("decided_s", "fix_s", "right_share")
+    )
     lines = [f"{len(pairs)} flights                 without    with  sooner  later"]
     for name, times in (("other places gone, s", decided), ("first fix, s", fixed)):
         mean = np.minimum(times, LONGEST_S).mean(axis=0)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from companion.domain import TargetEstimate
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.planning.fim import (
@@ -25,13 +24,13 @@ from companion.planning.fim import (
     model_of,
     worst_variances_m2,
 )
+from sim_link.world.environment import NO_MEMORY
 from sim_link.world.line_of_sight import is_blocked
-from tools.study import systems
-from tools.study.case import Case, RunSeed, run_inputs, run_seeds, scene_of
+from tools.study.case import Case, RunSeed, measured_in, run_inputs, run_seeds, scene_of
 from tools.study.study import CellResult, ResultRow, StudyResult
-from tools.study.systems import System
+from tools.study.systems import System, belief_of
 from tools.study.trials import TrialResult, run_trial
-from tools.study.walk import information_gradient, printed_criteria
+from tools.study.walk import first_fix, information_gradient, printed_criteria, updated
 
 FAR_M = 1e4
 """Length of a drawn shadow in m, beyond the edge of any picture."""
@@ -220,22 +219,22 @@ def _gradients(
 ) -> list[tuple[float, float]]:
     """Return the information gradients along a run's track, with the filter and as printed."""
     draws, truth, start = run_inputs(case, seed)
-    fuse = systems.estimator_of(case, System(system.filter, "passive"), start)
-    steer = systems.steer_along(track_enu_m)
+    scene, belief, memory = scene_of(case), belief_of(case, system), NO_MEMORY
     ring_m = np.array(candidate_ring_m(case.step_m, case.fim_headings))
     poses_m = candidate_poses_m(case.step_m, case.fim_headings)
-    sigmas = (case.belief.range_sigma_m, math.radians(case.belief.bearing_sigma_deg))
-    sigma, model = np.array([*sigmas, math.inf]), model_of(None, near_target_terms=True)
+    sigma, model = np.array([*belief.sigma[:2], math.inf]), model_of(None, near_target_terms=True)
     found: list[tuple[float, float]] = []
-
-    def watch(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
-        east_m, north_m = estimate.position_enu_m
-        way_m = (east_m - place[0], north_m - place[1])
-        away = np.array([*way_m, 0.0, 0.0])
+    mean, joint = first_fix(0.0, 0.0, 1.0, 0.0, belief)
+    mean[:2] = start
+    for step, (east_m, north_m) in enumerate(track_enu_m[:-1].tolist()):
+        r_m, b_rad, memory = measured_in(draws[step], east_m, north_m, truth, scene, memory)
+        if math.isnan(mean[0]):
+            mean, joint = first_fix(east_m, north_m, r_m, b_rad, belief)
+        else:
+            sensor, z = np.array([east_m, north_m, 0.0]), np.array([r_m, b_rad, math.nan])
+            mean, joint = updated(mean, joint, sensor, z, belief)
+        away = np.array([mean[0] - east_m, mean[1] - north_m, 0.0, 0.0])
         filtered = 1.0 / worst_variances_m2(joint, away, poses_m, sigma, ALL_AROUND, model)
-        printed = printed_criteria(*way_m, ring_m, *sigmas)
+        printed = printed_criteria(away[0], away[1], ring_m, sigma[0], sigma[1])
         found.append((information_gradient(filtered), information_gradient(printed)))
-        return steer(step, place, estimate, joint)
-
-    systems.flown(draws, case.start_enu_m, truth, scene_of(case), fuse, watch)
     return found
