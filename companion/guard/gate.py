@@ -259,7 +259,7 @@ class Guard:
         gained_m = math.dist(step.vehicle, inside := fence.nearest_allowed(step.vehicle)) - left_m
         if gained_m < 0.0 or lead_m > gained_m + ASIDE_M:  # from rest a wind would keep it there
             last = replace(step.previous, position_enu_m=(*step.vehicle, step.goal_enu_m[2]))
-            step, goal, left_m = replace(step, previous=last), inside, left_m + gained_m
+            step, goal = replace(step, previous=last), inside
         if lead_m > JUMP_STEPS * self.limits.envelope.step_m:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
         return self._walked((why,), step, goal, fence)
@@ -317,7 +317,7 @@ class Guard:
                 step.reasons.append(why)
             goal = near
         permitted = fence.limited(start, goal)
-        if permitted != goal and not fence.allows(goal):
+        if not fence.allows(goal):
             step.reasons.append(GuardReason.FENCE)
         return permitted
 

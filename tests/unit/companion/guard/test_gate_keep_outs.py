@@ -33,6 +33,14 @@ class TestKeepOuts:
         anew = self.GUARD.towards((40.0, 25.1, 30.0), last, pushed, 0.1)
         assert anew == Guarded((6.5, 18.0, 31.0), (GuardReason.CUT_OFF,))
 
+    def test_a_goal_behind_a_keep_out_is_not_called_outside(self) -> None:
+        """The way ends before the house; the goal itself is allowed."""
+        last = Guarded((0.0, 0.0, 30.0))
+        stopped = self.GUARD.towards((40.0, 0.0, 30.0), last, motion(last.position_enu_m), 0.1)
+        assert stopped.reasons == ()
+        inside = self.GUARD.towards((15.0, 0.0, 30.0), last, motion(last.position_enu_m), 0.1)
+        assert inside.reasons == (GuardReason.FENCE,)
+
     def test_the_way_is_looked_at_from_where_the_setpoint_will_find_the_vehicle(self) -> None:
         """At 4 m/s southwards the vehicle is 2 m farther behind the house after the latency."""
         last = Guarded((9.0, 25.1, 30.0))

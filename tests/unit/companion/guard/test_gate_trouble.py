@@ -65,6 +65,27 @@ class TestAVehicleInTrouble:
             assert last.velocity_enu_mps == pytest.approx((-0.2 * tick, 0.0, 0.0))
         assert last.position_enu_m == pytest.approx((95.88, -1.0, 30.0))
 
+    def test_the_plan_has_no_say_while_it_comes_in_beside_a_fast_vehicle(self) -> None:
+        """Neither the height of a goal nor the speed that the planner wants."""
+        fast, last = motion((96.0, 2.0, 30.0), (1.0, 8.0, 0.0)), Guarded((96.0, -1.0, 30.0))
+        led = GUARD.towards((0.0, 0.0, 50.0), last, fast, 0.1, speed_cap_mps=0.01)
+        assert led == GUARD.towards((0.0, 0.0, 30.0), last, fast, 0.1)
+        assert led.position_enu_m == pytest.approx((95.98, -1.0, 30.0))
+
+    def test_a_setpoint_in_the_margin_is_not_walked_in_farther_out_than_a_fast_vehicle(
+        self,
+    ) -> None:
+        fast, last = motion((95.0, 2.0, 30.0), (1.0, 8.0, 0.0)), Guarded((96.0, -1.0, 30.0))
+        kept = GUARD.towards((0.0, 0.0, 30.0), last, fast, 0.1)
+        assert kept == Guarded(last.position_enu_m, (GuardReason.TOO_FAST,))
+
+    def test_but_as_far_in_as_that_it_is(self) -> None:
+        fast = motion((95.0, 2.0, 30.0), (1.0, 8.0, 0.0))
+        last = Guarded((95.005, -1.0, 30.0), (), (-1.0, 0.0, 0.0))
+        led = GUARD.towards((0.0, 0.0, 30.0), last, fast, 0.1)
+        assert led.reasons == (GuardReason.TOO_FAST, GuardReason.MARGIN)
+        assert led.position_enu_m == pytest.approx((95.0, -1.0, 30.0), abs=1e-5)
+
     @pytest.mark.parametrize("slope", [0.08, 0.1, 0.12, 0.15])
     def test_too_fast_along_a_slanting_border_a_wind_does_not_take_it_out(
         self, slope: float
