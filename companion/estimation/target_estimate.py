@@ -64,10 +64,9 @@ def estimate_of(
 ) -> TargetEstimate:
     """Return the estimate of hypotheses, best first; `is_diverged`: the filter was reset lately."""
     weights, best, own = probabilities(hypotheses), hypotheses[0], shared.own
+    own_sigma_m = shared.settled_own_m(model.own_sigma_m)
     covariances = [
-        shared.within_reach(
-            position_covariance_m2(h, model.own_sigma_m) + shared.lasting, h.place_enu_m
-        )
+        shared.within_reach(position_covariance_m2(h, own_sigma_m) + shared.lasting, h.place_enu_m)
         for h in hypotheses
     ]
     settled_m = r95_m = _r95_m(hypotheses, weights, covariances)

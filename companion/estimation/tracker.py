@@ -389,10 +389,10 @@ class TargetTracker:
         estimate = self.estimate(now_s)
         if estimate is None:
             return {}
-        best, own_sigma_m = self.hypotheses[0], self._filter.params.model.own_sigma_m
+        best, shared = self.hypotheses[0], self._shared
+        own_sigma_m = shared.settled_own_m(self._filter.params.model.own_sigma_m)
         widths = self._optimizer.widths(best.state.mean, is_white=self._noise.is_white)
         place_m2 = position_covariance_m2(best, own_sigma_m)
-        shared = self._shared
         widths += [
             ("since the last solution", place_m2),
             ("height and stamps", shared.within_reach(place_m2 + shared.lasting, best.place_enu_m)),

@@ -214,7 +214,8 @@ class FilterConfig(Params, frozen=True):
     position_sigma_m: Positive = 30.0
     """Prior standard deviation of the first position, each axis."""
     own_position_sigma_m: NonNegative = 0.1
-    """Standard deviation of the vehicle position; part of every measurement's noise and of R95."""
+    """Standard deviation of the vehicle position; part of every measurement's noise, and of R95
+    until the drift is known."""
     process_noise_m_per_sqrt_s: NonNegative = 0.0
     """Random walk of the target; 0: it is stationary."""
     stamp_lag_sigma_s: NonNegative | None = None

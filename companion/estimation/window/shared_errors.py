@@ -49,8 +49,6 @@ LONGEST_GAP_S = 2.0
 DEFAULT_HEIGHT_SIGMA_M, DEFAULT_LAG_SIGMA_S = 3.0, 0.15
 """Standard deviations of the ground's height and of the lag of a radio's stamps, if not
 configured."""
-URBAN_GNSS_FACTOR = 2.0
-"""GNSS error over its reported accuracy between buildings, if the environment is not configured."""
 FIX_DEGRADED_RATIO = 2.0
 """Ratio of reported accuracies from which a fix counts as degraded: its error is a new one."""
 
@@ -74,7 +72,9 @@ def shared_sigmas(
     """Return the shared errors' standard deviations, reported or configured.
 
     `own` is the worst accuracy of the vehicle position during the search, `best_own_m` the best
-    reported one. `is_auto`: the antenna is not configured.
+    reported one. `is_auto`: the antenna is not configured. A configured random walk of the position
+    replaces the margin for optimistic receivers, and the assumed accuracy of one that reports none:
+    over short times the process of the module's text is a walk of sigma sqrt(2 / tau).
     """
     if params.model.antenna == AZIMUTH and own is None:
         return SharedSigmas()  # as in the paper, where positions and heights are known
@@ -86,8 +86,9 @@ def shared_sigmas(
     has_jumped = own.is_reported and best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
     jump_m = own.effective_m if has_jumped else 0.0
     own_m = own.effective_m
-    if is_auto and own_m > own.horizontal_m:
-        own_m = URBAN_GNSS_FACTOR * own.horizontal_m
+    if params.process_noise_m_per_sqrt_s > 0.0:
+        walk_m = params.process_noise_m_per_sqrt_s * math.sqrt(0.5 * TIME_CONSTANT_S)
+        own_m = min(own_m, max(walk_m, own.horizontal_m if own.is_reported else 0.0))
     return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
 
@@ -110,6 +111,10 @@ class SharedErrors(NamedTuple):
     """Accuracy of the vehicle position on the Earth."""
     reception: ReceptionPath | None = None
     """Path on which the radio was received; None: unknown."""
+
+    def settled_own_m(self, configured_m: float) -> float:
+        """Return the position error, m, per axis, besides the drift: both are the same error."""
+        return 0.0 if self.wander.any() else configured_m
 
     def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
         """Return a position covariance (2, 2), limited in every direction by the radio's reach.

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.domain import PositionAccuracy, RangingMeasurement
+from companion.domain import GNSS_ACCURACY_FACTOR, PositionAccuracy, RangingMeasurement
+from companion.estimation.antenna import AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
@@ -19,6 +20,7 @@ from companion.estimation.window.shared_errors import (
     SharedErrors,
     SharedSigmas,
     shared_errors,
+    shared_sigmas,
 )
 from companion.estimation.window.window_map import MAX_POSITION_SIGMA_M, WindowMap
 from companion.kernel import Matrix, Vector
@@ -173,3 +175,22 @@ def test_ranges_along_a_line_state_no_radius_beyond_what_a_place_may_be() -> Non
         radii_m += [] if estimate is None else [estimate.absolute_r95_m]
     assert len(radii_m) == 60
     assert max(radii_m) <= 3.0 * MAX_POSITION_SIGMA_M
+
+
+@pytest.mark.parametrize(
+    ("walk_m", "own", "drift_m"),
+    [
+        (0.0, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5 * GNSS_ACCURACY_FACTOR),
+        (0.05, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5),
+        (0.2, PositionAccuracy(1.5, 2.5, is_reported=True), 0.2 * math.sqrt(TIME_CONSTANT_S / 2.0)),
+        (9.0, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5 * GNSS_ACCURACY_FACTOR),
+        (0.2, PositionAccuracy(0.02, 0.04, is_reported=True), 0.02),
+        (0.2, None, 0.2 * math.sqrt(TIME_CONSTANT_S / 2.0)),
+        (0.0, None, 3.0),
+    ],
+)
+def test_a_configured_walk_of_the_position_replaces_assumptions_about_its_drift(
+    walk_m: float, own: PositionAccuracy | None, drift_m: float
+) -> None:
+    params = FilterParams(process_noise_m_per_sqrt_s=walk_m, antenna=AntennaParams(kind="two_axis"))
+    assert shared_sigmas(params, own, math.inf, is_auto=False).own_m == pytest.approx(drift_m)
