@@ -177,13 +177,18 @@ class PositionAccuracy:
         )
 
     @property
+    def is_corrected(self) -> bool:
+        """True if it is reported, and only a receiver with corrections is as accurate."""
+        return self.is_reported and self.horizontal_m < CORRECTED_GNSS_M
+
+    @property
     def effective_m(self) -> float:
         """Horizontal sigma in use, per axis.
 
         Receivers underestimate their errors, because they ignore reflections, except for those with
-        corrections, whose accuracy is better than this.
+        corrections.
         """
-        is_optimistic = self.is_reported and self.horizontal_m >= CORRECTED_GNSS_M
+        is_optimistic = self.is_reported and not self.is_corrected
         return self.horizontal_m * (GNSS_ACCURACY_FACTOR if is_optimistic else 1.0)
 
     @property

@@ -40,6 +40,7 @@ from companion.estimation.innovations import (
 )
 from companion.estimation.integrity import TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
+from companion.estimation.scatter import ReportedSigmas
 from companion.estimation.screen import MeasurementScreen, Objection, RejectReason
 from companion.estimation.stepwise import Steps, Stepwise, finish, passes, while_same
 from companion.estimation.target_estimate import (
@@ -96,6 +97,7 @@ class TargetTracker:
         tracker keep the first zero, about which a configured target height is valid."""
         self.integrity = TrackIntegrity()
         self._screen = MeasurementScreen(params.filter, params.acceptance)
+        self._reported_sigmas = ReportedSigmas()
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
         self.prior: SearchPrior | None = None
@@ -205,6 +207,8 @@ class TargetTracker:
         """Fuse what passed the screen, unless the gate rejects it."""
         params, at_s = self._filter.params, measurement.measured_at_s
         storage, window = self._optimizer.storage_params, self._optimizer.window
+        if self.antenna is not None:
+            measurement = self._reported_sigmas.limited(measurement, params)
         row = storage.kernel_row(measurement, sensor_enu_m)
         self._optimizer.latest.append(row)
         seen = row if params is storage else params.kernel_row(measurement, sensor_enu_m)

@@ -169,7 +169,8 @@ class FilterConfig(Params, frozen=True):
 
     range_sigma_m: Positive = 1.5
     """Thermal noise of a range where the radio reports none, and the lower limit of a reported one:
-    a radio, or a forger, that reports less gets no more weight."""
+    a radio, or a forger, that reports less gets no more weight. Of an unknown radio the limit is
+    the scatter of its measurements, if that is less."""
     bearing_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 2.0
     """Thermal noise of a bearing, in the same way."""
     use_reported_sigma: bool = True
@@ -217,7 +218,8 @@ class FilterConfig(Params, frozen=True):
     """Standard deviation of the vehicle position; part of every measurement's noise, and of R95
     until the drift is known."""
     process_noise_m_per_sqrt_s: NonNegative = 0.0
-    """Random walk of the target; 0: it is stationary."""
+    """Random walk of the target in the vehicle's frame: of itself, or by drift of the vehicle
+    position; 0: it is stationary."""
     stamp_lag_sigma_s: NonNegative | None = None
     """Standard deviation of the delay of the radio's stamps; null: 0 with a configured antenna,
     else 0.15 s."""

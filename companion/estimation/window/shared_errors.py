@@ -73,8 +73,8 @@ def shared_sigmas(
 
     `own` is the worst accuracy of the vehicle position during the search, `best_own_m` the best
     reported one. `is_auto`: the antenna is not configured. A configured random walk of the position
-    replaces the margin for optimistic receivers, and the assumed accuracy of one that reports none:
-    over short times the process of the module's text is a walk of sigma sqrt(2 / tau).
+    replaces what is assumed of receivers without corrections: over short times the process of the
+    module's text is a walk of sigma sqrt(2 / tau).
     """
     if params.model.antenna == AZIMUTH and own is None:
         return SharedSigmas()  # as in the paper, where positions and heights are known
@@ -86,9 +86,9 @@ def shared_sigmas(
     has_jumped = own.is_reported and best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
     jump_m = own.effective_m if has_jumped else 0.0
     own_m = own.effective_m
-    if params.process_noise_m_per_sqrt_s > 0.0:
+    if params.process_noise_m_per_sqrt_s > 0.0 and not own.is_corrected:
         walk_m = params.process_noise_m_per_sqrt_s * math.sqrt(0.5 * TIME_CONSTANT_S)
-        own_m = min(own_m, max(walk_m, own.horizontal_m if own.is_reported else 0.0))
+        own_m = max(walk_m, own.horizontal_m if own.is_reported else 0.0)
     return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
 

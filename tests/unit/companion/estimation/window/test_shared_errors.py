@@ -183,7 +183,6 @@ def test_ranges_along_a_line_state_no_radius_beyond_what_a_place_may_be() -> Non
         (0.0, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5 * GNSS_ACCURACY_FACTOR),
         (0.05, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5),
         (0.2, PositionAccuracy(1.5, 2.5, is_reported=True), 0.2 * math.sqrt(TIME_CONSTANT_S / 2.0)),
-        (9.0, PositionAccuracy(1.5, 2.5, is_reported=True), 1.5 * GNSS_ACCURACY_FACTOR),
         (0.2, PositionAccuracy(0.02, 0.04, is_reported=True), 0.02),
         (0.2, None, 0.2 * math.sqrt(TIME_CONSTANT_S / 2.0)),
         (0.0, None, 3.0),
