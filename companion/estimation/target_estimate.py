@@ -148,6 +148,27 @@ def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix
     return total
 
 
+def budget_of(
+    estimate: TargetEstimate,
+    best: Hypothesis,
+    widths: Sequence[tuple[str, Matrix]],
+    shared: SharedErrors,
+    own_sigma_m: float,
+) -> dict[str, float]:
+    """Return R95 in metres after each term that widens it; the last one is the absolute R95.
+
+    `widths` are the window's terms for the best hypothesis, with covariances (2, 2) so far.
+    """
+    place_m2 = position_covariance_m2(best, shared.settled_own_m(own_sigma_m))
+    lasting_m2 = shared.within_reach(place_m2 + shared.lasting, best.place_enu_m)
+    terms = [*widths, ("since the last solution", place_m2), ("height and stamps", lasting_m2)]
+    return {name: r95_of_covariance_m(covariance_m2) for name, covariance_m2 in terms} | {
+        "rival places": estimate.settled_r95_m,
+        "vehicle position during the search": estimate.r95_m,
+        "vehicle position on the Earth": estimate.absolute_r95_m,
+    }
+
+
 def _r95_m(
     hypotheses: Sequence[Hypothesis], weights: Vector, covariances: Sequence[Matrix]
 ) -> float:

@@ -45,9 +45,8 @@ from companion.estimation.screen import MeasurementScreen, Objection, RejectReas
 from companion.estimation.stepwise import Steps, Stepwise, finish, passes, while_same
 from companion.estimation.target_estimate import (
     KeptEstimate,
+    budget_of,
     estimate_of,
-    position_covariance_m2,
-    r95_of_covariance_m,
 )
 from companion.estimation.target_motion import EVERY_S, MotionWatch
 from companion.estimation.tracker_params import TrackerParams
@@ -393,19 +392,10 @@ class TargetTracker:
         estimate = self.estimate(now_s)
         if estimate is None:
             return {}
-        best, shared = self.hypotheses[0], self._shared
-        own_sigma_m = shared.settled_own_m(self._filter.params.model.own_sigma_m)
-        widths = self._optimizer.widths(best.state.mean, is_white=self._noise.is_white)
-        place_m2 = position_covariance_m2(best, own_sigma_m)
-        widths += [
-            ("since the last solution", place_m2),
-            ("height and stamps", shared.within_reach(place_m2 + shared.lasting, best.place_enu_m)),
-        ]
-        budget = {name: r95_of_covariance_m(covariance_m2) for name, covariance_m2 in widths}
-        budget["rival places"] = estimate.settled_r95_m
-        budget["vehicle position during the search"] = estimate.r95_m
-        budget["vehicle position on the Earth"] = estimate.absolute_r95_m
-        return budget
+        mean = self.hypotheses[0].state.mean
+        widths = self._optimizer.widths(mean, is_white=self._noise.is_white)
+        own_sigma_m = self._filter.params.model.own_sigma_m
+        return budget_of(estimate, self.hypotheses[0], widths, self._shared, own_sigma_m)
 
     def objection(self, now_s: float) -> Objection | None:
         """Return why the estimate must not be used for guidance; None: it may be used."""
