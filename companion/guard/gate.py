@@ -134,6 +134,11 @@ class _Step:
         """Measured position of the vehicle."""
         return self.motion.position_enu_m[:2]
 
+    @property
+    def ground_mps(self) -> Point:
+        """Measured velocity of the vehicle over the ground."""
+        return self.motion.velocity_enu_mps[:2]
+
 
 class Guard:
     """Turns goals into setpoints."""
@@ -224,7 +229,7 @@ class Guard:
             return GuardReason.JUMPED
         if not ways.is_clear(vehicle, start):
             return GuardReason.CUT_OFF
-        stop = limits.stopping.point(vehicle, step.motion.velocity_enu_mps[:2])
+        stop = limits.stopping.point(vehicle, step.ground_mps)
         if not ways.is_clear(vehicle, stop):
             return GuardReason.TOO_FAST
         return None if fence.allows(start) else GuardReason.MARGIN
@@ -235,7 +240,7 @@ class Guard:
         In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint. But
         never farther outside than the vehicle is.
         """
-        ve, vn = step.motion.velocity_enu_mps[:2]
+        ve, vn = step.ground_mps
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn
         if why is not GuardReason.TOO_FAST or passed < 0.0:
             return Guarded(self.here(step.motion).position_enu_m, (why,))
@@ -338,7 +343,7 @@ class Guard:
         )
         lead = (start[0] - vehicle[0], start[1] - vehicle[1])
         if lead[0] * east + lead[1] * north > 0.0:
-            ve, vn = step.motion.velocity_enu_mps[:2]
+            ve, vn = step.ground_mps
             room_m = max(0.0, envelope.step_m - math.hypot(*lead))
             pace_mps = max(0.0, ve * east + vn * north) + stopping.speed_mps(room_m, step.dt_s)
             if pace_mps < speed_mps:
@@ -351,7 +356,7 @@ class Guard:
     ) -> bool:
         """Return True if a setpoint may be the last one; see the theory of operation."""
         stopping, vehicle = self.limits.stopping, step.vehicle
-        arrival = ahead(vehicle, step.motion.velocity_enu_mps[:2], stopping.latency_s)
+        arrival = ahead(vehicle, step.ground_mps, stopping.latency_s)
         return (
             fence.allows(place)
             and ways.is_clear(place, stopping.point(place, velocity))
