@@ -53,7 +53,6 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
-        check_folder(out)
         if arguments.study in SIMULATED:
             return run_simulated(arguments, out)
         studies = studies_of(arguments.study, STUDIES)
@@ -157,8 +156,8 @@ def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
     """Fly a study that no file describes; write what came of its flights, in their order."""
     study = SIMULATED[arguments.study]
     runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
-    flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
     made_folder(out)
+    flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
     if study.write(out, flown):
         return 0
     say(f"run_study: {study.failure}")
@@ -230,21 +229,6 @@ ROW_NAMES = tuple(field.name for field in fields(ResultRow))
 def table_text(rows: Sequence[object], names: Sequence[str] = ROW_NAMES) -> str:
     """Return rows as a CSV file with their header."""
     return csv_text(names, ([getattr(row, name) for name in names] for row in rows))
-
-
-def check_folder(path: Path) -> None:
-    """Check that a folder can be created or written into; nothing is created yet.
-
-    Raises:
-        ConfigError: It cannot.
-    """
-    place = path
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir():
-        raise ConfigError(f"--out {path}: {place} is a file; choose a folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigError(f"--out {path}: {place} cannot be written; check its permissions")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from tools.console import OneLineParser, done_by, non_negative, positive
 from tools.study.case import PAPER_BELIEF, Case
 from tools.study.metrics import steps_to_settle
 from tools.study.reporting.study_tables import rmse_interval_m
-from tools.study.systems import PlannerName, System
+from tools.study.systems import System
 from tools.study.trials import RunSeries, RunTally, joined_in_order, tally_of
 from tools.study.walks.walk_choice import left_out_lines
 from tools.study.walks.walk_figures import walk_lines
@@ -74,14 +74,14 @@ Measured = Sequence[tuple[RunSeries, RunTally]]
 def verified(parts: Sequence[Part], runs: int, seed: int, jobs: int) -> list[Figure]:
     """Run the selected parts; every system gets the same random draws."""
     series = {
-        part: [RunSeries(case, system, seed, runs) for case, system in SYSTEMS[part]()]
+        part: [RunSeries(case, system, seed, runs) for case, system in MEASURED[part][0]()]
         for part in parts
     }
     tallies = iter(tallies_of(list(itertools.chain(*series.values())), jobs))
     return [
         figure
         for part, own in series.items()
-        for figure in FIGURES[part]([(each, next(tallies)) for each in own])
+        for figure in MEASURED[part][1]([(each, next(tallies)) for each in own])
     ]
 
 
@@ -130,20 +130,14 @@ def rmse_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     return Figure("lawnmower", name, tally.final_m, note=note)
 
 
-def noise_case(range_sigma_m: float) -> Case:
-    """Return the canonical scenario with other noise of the ranges, which the filter knows."""
-    belief = msgspec.structs.replace(PAPER_BELIEF, range_sigma_m=range_sigma_m)
-    return Case(channel=ChannelParams(range_sigma_m=range_sigma_m), belief=belief)
-
-
 def bound_systems() -> list[tuple[Case, System]]:
-    """Return the tracker in the three noise regimes of the paper, to stand beside the bound."""
-    planners: tuple[PlannerName, ...] = ("fim", "latched")
-    return [
-        (noise_case(sigma_m), System("tracker", planner))
-        for sigma_m in RANGE_SIGMAS_M
-        for planner in planners
-    ]
+    """Return the tracker in the three noise regimes of the paper, which it knows."""
+    found = []
+    for sigma_m in RANGE_SIGMAS_M:
+        belief = msgspec.structs.replace(PAPER_BELIEF, range_sigma_m=sigma_m)
+        case = Case(channel=ChannelParams(range_sigma_m=sigma_m), belief=belief)
+        found += [(case, System("tracker", "fim")), (case, System("tracker", "latched"))]
+    return found
 
 
 def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
@@ -161,13 +155,11 @@ def bound_figure(campaign: RunSeries, tally: RunTally) -> Figure:
     )
 
 
-SYSTEMS: dict[Part, Callable[[], list[tuple[Case, System]]]] = {
-    "lawnmower": lawnmower_systems,
-    "bound": bound_systems,
-}
-FIGURES: dict[Part, Callable[[Measured], list[Figure]]] = {
-    "lawnmower": lawnmower_figures,
-    "bound": lambda measured: [bound_figure(*each) for each in measured],
+MEASURED: dict[
+    Part, tuple[Callable[[], list[tuple[Case, System]]], Callable[..., list[Figure]]]
+] = {
+    "lawnmower": (lawnmower_systems, lawnmower_figures),
+    "bound": (bound_systems, lambda measured: [bound_figure(*each) for each in measured]),
 }
 
 

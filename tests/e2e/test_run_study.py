@@ -157,7 +157,7 @@ def test_a_place_that_cannot_be_written_is_refused(study: Path, tmp_path: Path) 
     done = _run(study, tmp_path / "file" / "out")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert "choose a folder" in line
+    assert "choose another --out" in line
 
 
 FLIGHTS = """

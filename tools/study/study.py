@@ -152,16 +152,9 @@ def cells_of(study: Study) -> list[Cell]:
 def systems_of(systems: Systems, where: str) -> list[System]:
     """Return the systems of a grid or list; a ConfigError for none, duplicates or unknown ones."""
     if isinstance(systems, SystemGrid):
-        found = list(
-            itertools.starmap(System, itertools.product(systems.filters, systems.planners))
-        )
+        found = [System(*pair) for pair in itertools.product(systems.filters, systems.planners)]
     else:
-        found = []
-        for i, name in enumerate(systems):
-            try:
-                found.append(system_named(name))
-            except ConfigError as error:
-                raise ConfigError(f"{where}.systems[{i}]: {error}") from None
+        found = [system_named(name, f"{where}.systems[{i}]: ") for i, name in enumerate(systems)]
     if not found:
         raise ConfigError(f"{where}.systems: at least one system is needed")
     _refuse_twice([system.label for system in found], f"{where}.systems")

@@ -163,8 +163,7 @@ PLANNER_LABELS: dict[PlannerName, str] = {
     "fim": "FIM",
     "fim_printed": "FIM as printed",
 }
-_NUMBERS = (walk.FIXED, walk.REACTIVE, walk.LATCHED, walk.FIM, walk.PRINTED_FIM)
-PLANNERS = dict(zip(PLANNER_LABELS, _NUMBERS, strict=True))
+PLANNERS = dict(zip(PLANNER_LABELS, range(walk.FIXED, walk.PRINTED_FIM + 1), strict=True))
 """Planners as the compiled walk numbers them."""
 
 
@@ -186,13 +185,13 @@ class System:
         return self.filter == "map" or self.filter in RECURSIVE
 
 
-def system_named(name: str) -> System:
+def system_named(name: str, where: str = "") -> System:
     """Return the system of a name like "asymmetric_huber/latched"; a ConfigError if unknown."""
     filter_name, _, planner = name.partition("/")
     for value, kind in ((filter_name, FilterName), (planner, PlannerName)):
         if value not in get_args(kind):
             known = ", ".join(get_args(kind))
-            raise ConfigError(f"system {name!r}: {value!r} is none of {known}")
+            raise ConfigError(f"{where}system {name!r}: {value!r} is none of {known}")
     return msgspec.convert({"filter": filter_name, "planner": planner}, System)
 
 

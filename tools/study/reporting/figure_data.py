@@ -63,18 +63,9 @@ class Curve:
 Flight = tuple[System, TrialResult]
 
 
-@dataclass(frozen=True, slots=True)
-class Sensitivity:
-    """Final RMSE of a system as a function of a parameter; vectors are (k,), one per value."""
-
-    system: System
-    values: Vector
-    ours_m: Vector
-    low_m: Vector
-    high_m: Vector
-    paper_m: Vector
-    """NaN where the paper prints none."""
-    bound_m: Vector
+Sensitivity = tuple[System, Matrix]
+"""Final RMSE of a system over a parameter, (6, k): the values, ours, the paper's (NaN where it
+prints none), the bound, and the low and high ends of our interval."""
 
 
 def values_of(result: StudyResult) -> list[tuple[str, str]]:
@@ -146,7 +137,11 @@ def sensitivities(
         kept = [row for row in own if row is not None]
         is_printed = any(row.paper for row in kept)
         if len(kept) == len(values) and (is_printed or system == BEST):
-            found.append(_sensitivity(system, values, kept))
+            columns = [
+                (*map(numbers, (value, row.ours, row.paper, row.bound)), *interval(row.ours_ci95))
+                for value, row in zip(values, kept, strict=True)
+            ]
+            found.append((system, np.array(columns).T))
     return found
 
 
@@ -162,14 +157,6 @@ def interval(text: str) -> tuple[float, float]:
     """Return the ends of an interval of the results, NaN if missing."""
     low, _, high = text.partition("..")
     return numbers(low), numbers(high)
-
-
-def _sensitivity(system: System, values: list[str], rows: list[ResultRow]) -> Sensitivity:
-    low_m, high_m = np.array([interval(row.ours_ci95) for row in rows]).T
-    own = ([numbers(getattr(row, name)) for row in rows] for name in ("ours", "paper", "bound"))
-    ours_m, paper_m, bound_m = map(np.array, own)
-    at = np.array([numbers(value) for value in values])
-    return Sensitivity(system, at, ours_m, low_m, high_m, paper_m, bound_m)
 
 
 WATCHED = (FIM, FIM_PRINTED, REACTIVE, CROSSING)

@@ -231,7 +231,7 @@ def _sensitivity(result: StudyResult, rows: Sequence[ResultRow]) -> list[Drawing
     tables = {cell.parameter: cell.table for cell in reversed(result.cells)}
     for parameter in dict.fromkeys(cell.parameter for cell in result.cells):
         lines = figure_data.sensitivities(result, rows, parameter)
-        if not lines or np.isnan(lines[0].values).any() or len(lines[0].values) < 2:
+        if not lines or np.isnan(lines[0][1][0]).any() or len(lines[0][1][0]) < 2:
             continue
         name = parameter_name(parameter)
         found.append(

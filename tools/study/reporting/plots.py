@@ -30,6 +30,7 @@ from companion.estimation.filters.kalman import (
     asymmetric_huber_influence,
     asymmetric_huber_loss,
 )
+from companion.kernel import Matrix
 from tools.study.metrics import SETTLED_M
 from tools.study.reporting.figure_data import BEST, Curve, GradientWatch, Sensitivity
 from tools.study.reporting.tables import typeset
@@ -287,7 +288,7 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     columns = min(3, len(found))
     figure, grid = panels(len(found), columns, 2.5, 2.15, sharex=True, sharey=True)
     for axes, one in zip(grid.flat, found, strict=False):
-        _draw_sensitivity(axes, one)
+        _draw_sensitivity(axes, *one)
     handles, names = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper right", ncols=3)
     for axes in grid[:, 0]:
@@ -306,15 +307,16 @@ def _metre_axis(axes: Axes) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _draw_sensitivity(axes: Axes, one: Sensitivity) -> None:
-    colour = PLANNER_COLOURS[one.system.planner]
-    axes.fill_between(one.values, one.low_m, one.high_m, color=colour, alpha=0.18, linewidth=0)
-    axes.plot(one.values, one.ours_m, "o-", color=colour, ms=4, lw=1.8, label="measured")
-    axes.plot(one.values, one.paper_m, "D--", color=MUTED, mfc="none", ms=4, lw=0.9, label="paper")
-    axes.plot(one.values, one.bound_m, color=MUTED, dashes=DOTS, lw=1.3, label=BOUND)
+def _draw_sensitivity(axes: Axes, system: System, figures: Matrix) -> None:
+    values, ours_m, paper_m, bound_m, low_m, high_m = figures
+    colour = PLANNER_COLOURS[system.planner]
+    axes.fill_between(values, low_m, high_m, color=colour, alpha=0.18, linewidth=0)
+    axes.plot(values, ours_m, "o-", color=colour, ms=4, lw=1.8, label="measured")
+    axes.plot(values, paper_m, "D--", color=MUTED, mfc="none", ms=4, lw=0.9, label="paper")
+    axes.plot(values, bound_m, color=MUTED, dashes=DOTS, lw=1.3, label=BOUND)
     axes.set_yscale("log")
-    axes.set_title(one.system.label, fontsize=8.5)
-    axes.set_xticks(one.values, [f"{value:g}" for value in one.values])
+    axes.set_title(system.label, fontsize=8.5)
+    axes.set_xticks(values, [f"{value:g}" for value in values])
     _metre_axis(axes)
 
 

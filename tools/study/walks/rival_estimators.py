@@ -79,7 +79,7 @@ class Batch:
         """Return the measurements of one target beside the preset's assumptions."""
         measured = [row.measurement for row in rows]
         agent = np.array([row.agent_enu_m for row in rows])
-        ranges = _values([m.range_m for m in measured])
+        ranges = np.array([m.range_m for m in measured], dtype=float)
         own = np.array(
             [params.own_position_sigma_m if r.own is None else r.own.effective_m for r in rows]
         )
@@ -94,7 +94,7 @@ class Batch:
             time_s=np.array([m.measured_at_s for m in measured]),
             agent_enu_m=agent,
             ranges_m=ranges,
-            bearings_rad=_values([m.bearing_enu_rad for m in measured]),
+            bearings_rad=np.array([m.bearing_enu_rad for m in measured], dtype=float),
             range_sigma_m=np.hypot(params.range_sigma_m, own),
             bearing_sigma_rad=np.hypot(sigma_rad, own / near_m),
             prior_mean=np.array([*middle, params.range_offset_m, 0.0, 0.0]),
@@ -127,16 +127,10 @@ class Batch:
     def starts(self) -> list[Vector]:
         """Return the starting points."""
         radius_m = float(np.nanmedian(self.ranges_m)) if np.isfinite(self.ranges_m).any() else 5.0
-        found = []
-        for course in np.arange(STARTS) * 2.0 * math.pi / STARTS:
-            start = self.prior_mean.copy()
-            start[:2] += radius_m * np.array([math.cos(course), math.sin(course)])
-            found.append(start)
-        return found
-
-
-def _values(found: Sequence[float | None]) -> Vector:
-    return np.array([math.nan if value is None else value for value in found])
+        courses = np.arange(STARTS) * 2.0 * math.pi / STARTS
+        starts = np.tile(self.prior_mean, (STARTS, 1))
+        starts[:, :2] += radius_m * np.stack([np.cos(courses), np.sin(courses)], axis=1)
+        return list(starts)
 
 
 def _jacobian(values: Callable[[Vector], Vector], state: Vector) -> Matrix:

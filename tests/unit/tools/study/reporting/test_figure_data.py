@@ -63,9 +63,9 @@ def test_sensitivity_is_of_what_the_paper_prints_and_of_ours() -> None:
         for c in cells
     ]
     found = sensitivities(study(*cells), rows, "sigma_r_m")
-    assert [one.system.label for one in found] == ["MAP (Latched)", "Huber (Passive)"]
-    assert np.isnan(found[0].paper_m).all()
-    assert found[1].paper_m.tolist() == [0.4, 0.4]
+    assert [system.label for system, _ in found] == ["MAP (Latched)", "Huber (Passive)"]
+    assert np.isnan(found[0][1][2]).all()
+    assert found[1][1][2].tolist() == [0.4, 0.4]
 
 
 def test_every_figure_that_a_study_may_ask_for_can_be_drawn() -> None:

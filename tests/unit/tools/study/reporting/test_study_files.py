@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from tools.run_study import check_folder, table_text
+from tools.run_study import table_text
 from tools.study.reporting.study_tables import (
     load_study,
     studies_of,
@@ -117,13 +117,8 @@ def test_rows_as_csv() -> None:
     ]
 
 
-def test_a_folder_is_checked_before_it_is_made(tmp_path: Path) -> None:
-    check_folder(tmp_path / "a" / "b")
-    assert not (tmp_path / "a").exists()
-    made_folder(tmp_path / "a" / "b")
-    assert (tmp_path / "a" / "b").is_dir()
+def test_a_folder_is_made_with_its_parents(tmp_path: Path) -> None:
+    assert made_folder(tmp_path / "a" / "b").is_dir()
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match="file is a file"):
-        check_folder(tmp_path / "file" / "out")
     with pytest.raises(ConfigError, match="choose another --out"):
         made_folder(tmp_path / "file" / "out")
