@@ -187,9 +187,22 @@ class EmitterQueue:
         return reason or self._begin(measurement.emitter_id)
 
     def note_fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
-        """Note place and strength of a measurement among several emitters."""
+        """Note place and strength of a measurement among several emitters.
+
+        Its strength is its power, else the radio's quality, else minus the range.
+        """
         self._place = sensor_enu_m[:2]
-        self._note_strength(measurement)
+        strength = measurement.power_dbm
+        if strength is None:
+            strength = measurement.quality
+        if strength is None:
+            range_m = measurement.range_m
+            if range_m is None or not math.isfinite(range_m):
+                return
+            strength = -range_m
+        before = self._strengths.get(measurement.emitter_id, strength)
+        mean = (1.0 - SMOOTHING) * before + SMOOTHING * strength
+        self._strengths[measurement.emitter_id] = mean
 
     def choose(self, now_s: float, *, is_flying: bool) -> None:
         """Choose the current emitter; in flight it stays if it can."""
@@ -258,20 +271,6 @@ class EmitterQueue:
         tracker.emitter_id = emitter_id
         self._trackers[emitter_id] = tracker
         return tracker
-
-    def _note_strength(self, measurement: RangingMeasurement) -> None:
-        """Update the emitter's strength: power, else the radio's quality, else minus the range."""
-        strength = measurement.power_dbm
-        if strength is None:
-            strength = measurement.quality
-        if strength is None:
-            range_m = measurement.range_m
-            if range_m is None or not math.isfinite(range_m):
-                return
-            strength = -range_m
-        before = self._strengths.get(measurement.emitter_id, strength)
-        mean = (1.0 - SMOOTHING) * before + SMOOTHING * strength
-        self._strengths[measurement.emitter_id] = mean
 
     def _defer(self, now_s: float) -> None:
         """Queue the lost emitter behind those that are heard, if there are any."""

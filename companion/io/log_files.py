@@ -52,9 +52,9 @@ class TlogWriter(BackgroundFile):
 
     def write(self, frame: bytes, unix_s: float) -> None:
         """Record one whole frame; a signature is left out, a SETUP_SIGNING altogether."""
-        kept = frame_for_log(frame)
-        if kept is not None:
-            self.append(_STAMP.pack(max(0, round(unix_s * 1e6))) + kept)
+        record = tlog_record(frame, unix_s)
+        if record is not None:
+            self.append(record)
 
 
 def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
