@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -21,7 +20,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
-from companion.radios.decoder import RadioKind, RadioReading
+from companion.radios.decoder import RadioReading
 from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number
 
 LTE_STEP_S = 16.0 / 30.72e6
@@ -285,41 +284,3 @@ class OaiDecoder(_Cell):
             self._numerology = fitting[0]
         step = step_m(self._numerology or 0)
         return self.understood(self.reading(steps * step, step))
-
-
-_DEFAULTS: Mapping[str, object] = {
-    "zero": "accept",
-    "range_min_m": -2.0 * LTE_STEP_S * ONE_WAY_M_PER_S,
-}
-"""Step 0 is a valid range, and a phone's delay may be a step below that of the calibrated one."""
-SRSRAN_4G = RadioKind(
-    name="srsran_4g",
-    decoder=SrsRan4gDecoder,
-    title="srsRAN 4G base station, RACH lines of its log",
-    gives="range",
-    emitter="a phone that attaches to your own station",
-    transport="file",
-    needs_offset=True,
-    defaults=_DEFAULTS,
-)
-SRSRAN = RadioKind(
-    name="srsran",
-    decoder=SrsRanDecoder,
-    title="srsRAN Project base station, metrics and RACH lines",
-    gives="range",
-    emitter="a phone that attaches to your own station",
-    transport="file",
-    needs_offset=True,
-    defaults=_DEFAULTS,
-)
-OAI = RadioKind(
-    name="oai",
-    decoder=OaiDecoder,
-    title="OpenAirInterface base station, RAPROC lines of its log",
-    gives="range",
-    emitter="a phone that attaches to your own station",
-    transport="file",
-    needs_emitter=True,
-    needs_offset=True,
-    defaults=_DEFAULTS,
-)

@@ -23,8 +23,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from enum import Enum
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.resources import files
 from re import Pattern
+from typing import Any
+
+import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
@@ -318,37 +323,10 @@ class FrameDecoder(RadioDecoder):
 GROUP = "companion.radios"
 """The entry-point group of plugins: the radio's name to `module:ATTRIBUTE` of its `RadioKind`."""
 
-BUILT_IN: Mapping[str, str] = {
-    "ndjson": "companion.radios.lora_gateways:NDJSON",
-    "nlink": "companion.radios.nlink:NLINK",
-    "fira_uci": "companion.radios.fira:FIRA_UCI",
-    "sr150": "companion.radios.fira:SR150",
-    "pans": "companion.radios.fira:PANS",
-    "pans_tlv": "companion.radios.fira:PANS_TLV",
-    "qorvo_cli": "companion.radios.qorvo:QORVO_CLI",
-    "pdoa_js": "companion.radios.qorvo:PDOA_JS",
-    "kraken": "companion.radios.kraken:KRAKEN",
-    "kraken_xml": "companion.radios.kraken:KRAKEN_XML",
-    "kraken_ws": "companion.radios.kraken_socket:KRAKEN_WS",
-    "esp32_ftm": "companion.radios.wifi_ftm:ESP32_FTM",
-    "ftm_csv": "companion.radios.wifi_csv:FTM_CSV",
-    "iw_ftm": "companion.radios.wifi_ftm:IW_FTM",
-    "android_rtt": "companion.radios.wifi_csv:ANDROID_RTT",
-    **dict.fromkeys(
-        (
-            *("makerfabs_at", "trek1000", "ryuw122", "bu01", "bu03", "pozyx", "uudf", "silabs_aoa"),
-            *("channel_sounding", "sx1280", "lr11xx", "doppler", "lines"),
-        ),
-        "companion.radios.line_forms:RADIOS",
-    ),
-    "rssi": "companion.radios.power_scans:RSSI",
-    "uavrt": "companion.radios.power_scans:UAVRT",
-    "lora_gateway": "companion.radios.lora_gateways:LORA_GATEWAY",
-    "srsran_4g": "companion.radios.cellular:SRSRAN_4G",
-    "srsran": "companion.radios.cellular:SRSRAN",
-    "oai": "companion.radios.cellular:OAI",
-}
-"""Radio's name to `module:ATTRIBUTE` of its `RadioKind`, or of a table of kinds by name."""
+BUILT_IN: Mapping[str, Mapping[str, Any]] = msgspec.yaml.decode(
+    files("companion.radios").joinpath("kinds.yaml").read_bytes()
+)
+"""The fields of each `RadioKind`, by its name."""
 
 
 def known_radios() -> dict[str, str]:
@@ -368,10 +346,7 @@ def radio_kind(name: str) -> RadioKind:
     Raises a `ConfigError` for an unknown name, and for a plugin that is broken.
     """
     if name in BUILT_IN:
-        found = EntryPoint(name, BUILT_IN[name], GROUP).load()
-        kind = found[name] if isinstance(found, Mapping) else found
-        assert isinstance(kind, RadioKind)
-        return kind
+        return _built_in(name)
     points = list(entry_points(group=GROUP, name=name))
     if not points:
         near = get_close_matches(name, known_radios(), n=1)
@@ -381,6 +356,24 @@ def radio_kind(name: str) -> RadioKind:
         packages = " and ".join(sorted(_package(point) for point in points))
         raise ConfigError(f"radio {name}: both {packages} have it; uninstall one of them")
     return _of_plugin(points[0])
+
+
+@cache
+def _built_in(name: str) -> RadioKind:
+    """Return a kind by its row, in which a polled radio's bytes are text and lists are tuples."""
+    row = dict(BUILT_IN[name])
+    decoder = EntryPoint(name, f"companion.radios.{row.pop('decoder')}", GROUP).load()
+    poll = {
+        key: value.encode("latin-1") if key in ("request", "probe") else value
+        for key, value in row.pop("poll", {}).items()
+    }
+    defaults = {
+        key: tuple(map(tuple, value)) if isinstance(value, list) else value
+        for key, value in row.pop("defaults", {}).items()
+    }
+    return RadioKind(
+        name, decoder, poll=Poll(**{"path": "", **poll}) if poll else None, defaults=defaults, **row
+    )
 
 
 def _of_plugin(point: EntryPoint) -> RadioKind:

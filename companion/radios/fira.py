@@ -22,7 +22,7 @@ import re
 from struct import Struct
 
 from companion.domain import Params
-from companion.radios.decoder import AngleFrame, FrameDecoder, Poll, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, FrameDecoder, RadioReading
 from companion.radios.fields import FieldDecoder
 
 PER_RAD = 128.0 * 180.0 / math.pi
@@ -77,13 +77,6 @@ ANGLE_RECORDS = (Struct("<HBB3xhBhB"), Struct("<QBB3xhBhB"))
 SR150_FRAME = Struct("<B2x12x2xHBHBhh4x4sB")
 """0x8E, peer, status, distance, line of sight, azimuth, elevation, four merits, 0x1B."""
 SR150_END = 0x1B
-
-DEFAULTS = {
-    "field_of_view_deg": 120.0,
-    "range_sigma_m": 0.15,
-    "bearing_sigma_deg": 6.0,
-    "elevation_sigma_deg": 6.0,
-}
 
 
 class FiraDecoder(FrameDecoder):
@@ -200,26 +193,6 @@ class Sr150Decoder(FiraDecoder):
         )
 
 
-FIRA_UCI = RadioKind(
-    name="fira_uci",
-    decoder=FiraUciDecoder,
-    title="FiRa devices by UCI: NXP SR150, Qorvo DW3000",
-    gives="range, azimuth, elevation",
-    emitter="a FiRa device",
-    transport="serial:115200",
-    defaults=DEFAULTS,
-)
-SR150 = RadioKind(
-    name="sr150",
-    decoder=Sr150Decoder,
-    title="NXP SR150, the frames that PX4's uwb_sr150 reads",
-    gives="range, azimuth, elevation",
-    emitter="a FiRa device",
-    transport="serial:115200",
-    defaults={**DEFAULTS, "bearing_sign": -1, "elevation_sign": -1},
-)
-
-
 PROMPT = re.compile(r"^(?:dwm> ?)+")
 NUMBER = r"-?[0-9]{1,7}(?:\.[0-9]{1,4})?"
 WHERE = rf"(?:{NUMBER}|-?nan|-?inf)"
@@ -309,12 +282,6 @@ RECORDS = {ANCHORS_TAG: Struct("<HIB12xB"), TAGS_TAG: Struct("<QIB")}
 MOST_QUALITY = 100
 
 
-LOC_GET = b"\x0c\x00"
-"""`dwm_loc_get`: the tag's position and the distances of its anchors."""
-MOST_HZ = 10.0
-"""A tag ranges no faster."""
-
-
 class PansTlvDecoder(FrameDecoder):
     """Decoder of answers to `dwm_loc_get`, one by one."""
 
@@ -369,25 +336,3 @@ class PansTlvDecoder(FrameDecoder):
             )
             for address, distance_mm, quality, *_ in records
         ]
-
-
-PANS_DEFAULTS = {"range_sigma_m": 0.15}
-PANS = RadioKind(
-    name="pans",
-    decoder=PansDecoder,
-    title="Decawave DWM1001 PANS, its shell",
-    gives="range",
-    emitter="a DWM1001 anchor",
-    transport="serial:115200",
-    defaults=PANS_DEFAULTS,
-)
-PANS_TLV = RadioKind(
-    name="pans_tlv",
-    decoder=PansTlvDecoder,
-    title="Decawave DWM1001 PANS, TLV answers",
-    gives="range",
-    emitter="a DWM1001 anchor",
-    transport="serial:115200",
-    poll=Poll("", 1.0 / MOST_HZ, LOC_GET),
-    defaults=PANS_DEFAULTS,
-)

@@ -14,14 +14,13 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
 
 from companion.domain import Params
-from companion.radios.decoder import LineDecoder, Poll, RadioDecoder, RadioKind, RadioReading
+from companion.radios.decoder import LineDecoder, RadioDecoder, RadioReading
 from companion.radios.fields import columns, number
 
 HEAD_FIELDS = 17
@@ -299,31 +298,3 @@ def _result_of_elements(elements: dict[str, str]) -> Result | str:
         latency_ms,
         is_overdriven=elements.get("ADC_OVERDRIVE", "0").lower() in OVERDRIVEN,
     )
-
-
-COMMON_SETTINGS: Mapping[str, object] = {
-    "frequency_tolerance_khz": 12.5,
-    "bearing_sigma_deg": 5.0,
-    # Of 99: at 10 a direction is three times as wide as at 30.
-    "sigma_factors": ((0.0, 3.0), (0.2, 2.0), (0.3, 1.0)),
-}
-KRAKEN = RadioKind(
-    name="kraken",
-    decoder=KrakenLinesDecoder,
-    title="KrakenSDR, DOA_value.html",
-    gives="bearing",
-    emitter="nothing: any transmitter",
-    transport="http:8081",
-    poll=Poll("/DOA_value.html", 0.2),
-    defaults=COMMON_SETTINGS,
-)
-KRAKEN_XML = RadioKind(
-    name="kraken_xml",
-    decoder=KrakenXmlDecoder,
-    title="KrakenSDR, doa.xml",
-    gives="bearing",
-    emitter="nothing: any transmitter",
-    transport="http:8081",
-    poll=Poll("/doa.xml", 0.2),
-    defaults={**COMMON_SETTINGS, "bearing_sign": -1},
-)

@@ -20,9 +20,8 @@ from typing import Annotated
 
 import msgspec
 
-from companion.radios.decoder import RadioKind, RadioReading
+from companion.radios.decoder import RadioReading
 from companion.radios.kraken import (
-    COMMON_SETTINGS,
     FIRST_EPOCH_MS,
     KrakenDecoder,
     KrakenOptions,
@@ -237,14 +236,3 @@ def _shift_of_peak(before: float, peak: float, after: float) -> float:
     left, middle, right = map(math.log, (before, peak, after))
     curve = left - 2.0 * middle + right
     return 0.0 if curve >= 0.0 else 0.5 * (left - right) / curve
-
-
-KRAKEN_WS = RadioKind(
-    name="kraken_ws",
-    decoder=KrakenSocketDecoder,
-    title="KrakenSDR suite of 2026, its web socket",
-    gives="bearing",
-    emitter="nothing: any transmitter",
-    transport="wss:8080/ws",
-    defaults=COMMON_SETTINGS,
-)

@@ -31,15 +31,12 @@ from companion.radios.decoder import (
     AngleFrame,
     FrameDecoder,
     LineDecoder,
-    RadioKind,
     RadioReading,
     is_power_only,
 )
 from companion.radios.fields import NOT_VALID, says_invalid
 
 PER_S = 1e6
-CLOCK_WRAP_S = 2**32 / PER_S
-"""Period of the gateway's 32-bit microseconds."""
 JOIN_REQUEST, DATA_UP = 0, (2, 4)
 """Message types that devices send."""
 
@@ -208,18 +205,6 @@ def _decoded(payload: object) -> bytes:
         return base64.b64decode(payload, validate=True) if isinstance(payload, str) else b""
     except (binascii.Error, ValueError):
         return b""
-
-
-LORA_GATEWAY = RadioKind(
-    name="lora_gateway",
-    decoder=LoraGatewayDecoder,
-    title="LoRa gateways: packet forwarder, ChirpStack, The Things Stack",
-    gives="power",
-    emitter="a LoRaWAN device",
-    transport="udp",
-    clock_wrap_s=CLOCK_WRAP_S,
-    defaults={"unnamed": "refuse"},
-)
 
 
 MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
@@ -391,13 +376,3 @@ def _reading_of(line: Line) -> RadioReading:
         quality=None if line.quality is None else line.quality / 100.0,
         line_of_sight=line.line_of_sight,
     )
-
-
-NDJSON = RadioKind(
-    name="ndjson",
-    decoder=NdjsonDecoder,
-    title="Any radio, by a program that prints JSON lines",
-    gives="range, bearing, elevation, power",
-    emitter="whatever that radio looks for",
-    transport="udp",
-)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from companion.domain import Params, Positive
-from companion.radios.decoder import AngleFrame, FrameDecoder, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, FrameDecoder, RadioReading
 
 SHORTEST, LONGEST = 12, 2048
 """Bytes of a frame that has a length field."""
@@ -30,7 +30,6 @@ NO_DISTANCE = "no distance"
 PER_RAD = 18_000.0 / math.pi
 LOS_GAP_DB = 6.0
 """A first path within this of the whole signal means line of sight (DW1000 user manual)."""
-CLOCK_WRAP_S = 2**32 / PER_S
 
 U16, U32 = Struct("<H"), Struct("<I")
 RANGED = Struct("<BBHbBB")
@@ -223,20 +222,3 @@ class NlinkDecoder(FrameDecoder):
         if gap_db > most_db:
             return False
         return True if gap_db < LOS_GAP_DB else None
-
-
-NLINK = RadioKind(
-    name="nlink",
-    decoder=NlinkDecoder,
-    title="Nooploop LinkTrack, LinkTrack AOA, IoT",
-    gives="range, azimuth (AOA), elevation (IoT)",
-    emitter="a LinkTrack node",
-    transport="serial:921600",
-    clock_wrap_s=CLOCK_WRAP_S,
-    defaults={
-        "bearing_sign": -1,
-        "field_of_view_deg": 120.0,
-        "range_sigma_m": 0.15,
-        "bearing_sigma_deg": 6.0,
-    },
-)

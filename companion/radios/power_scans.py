@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from struct import Struct
 
 from companion.domain import Params
-from companion.radios.decoder import FrameDecoder, Poll, RadioKind, RadioReading, is_power_only
+from companion.radios.decoder import FrameDecoder, RadioReading, is_power_only
 from companion.radios.fields import complain_of_spans, number
 from companion.radios.line_forms import FormDecoder, form
 
@@ -212,25 +212,3 @@ class UavrtDecoder(FrameDecoder):
             self.counts.refuse("no SNR")
             return []
         return [RadioReading(tag, device_time_s=start_s, power_dbm=snr_db)]
-
-
-RSSI = RadioKind(
-    name="rssi",
-    decoder=PowerScanDecoder,
-    title="Scans and sniffers of Wi-Fi, Bluetooth and LoRa",
-    gives="power",
-    emitter="any device that is scanned",
-    transport="exec",
-    poll=Poll("", 0.5),
-    defaults={"unnamed": "refuse"},
-)
-UAVRT = RadioKind(
-    name="uavrt",
-    decoder=UavrtDecoder,
-    title="UAV-RT pulses of MavlinkTagController",
-    gives="power",
-    emitter="a pulsed VHF tag",
-    transport="udp",
-    # Thermal noise of -174 dBm/Hz, 6 dB of the receiver, 60 Hz of a pulse of 15 ms.
-    defaults={"power_offset_db": -150.0},
-)

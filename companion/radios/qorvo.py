@@ -13,7 +13,7 @@ from typing import Annotated
 
 import msgspec
 
-from companion.radios.decoder import AngleFrame, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.fields import FieldDecoder, dbm, is_overflow, number
 
 MOST_RECORD_BYTES = 8192
@@ -238,24 +238,3 @@ def _placed(name: str, range_cm: float, right_cm: float, ahead_cm: float) -> Rad
 
 def _signed(raw: int) -> float:
     return float(raw - 2**32 if raw >= 2**31 else raw)
-
-
-DEFAULTS = {"field_of_view_deg": 120.0, "range_sigma_m": 0.15, "bearing_sigma_deg": 6.0}
-QORVO_CLI = RadioKind(
-    name="qorvo_cli",
-    decoder=QorvoCliDecoder,
-    title="Qorvo QM33 and DW3xxx (DWM3001CDK) by their CLI",
-    gives="range, azimuth, elevation",
-    emitter="a FiRa device",
-    transport="serial:115200",
-    defaults={**DEFAULTS, "elevation_sigma_deg": 6.0},
-)
-PDOA_JS = RadioKind(
-    name="pdoa_js",
-    decoder=PdoaJsDecoder,
-    title="Decawave PDoA kit, Makerfabs MaUWB_AOA",
-    gives="range, azimuth",
-    emitter="a tag of the kit",
-    transport="serial:115200",
-    defaults=DEFAULTS,
-)

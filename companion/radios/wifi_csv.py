@@ -19,7 +19,7 @@ import msgspec
 
 from companion.domain import Params
 from companion.errors import ConfigError
-from companion.radios.decoder import RadioKind, RadioReading
+from companion.radios.decoder import RadioReading
 from companion.radios.fields import (
     HEX,
     NOT_VALID,
@@ -35,7 +35,7 @@ from companion.radios.fields import (
     says_invalid,
     whole,
 )
-from companion.radios.wifi_ftm import BY_SHARE, LEAST_SHARE, MAC, complain_of_unsigned
+from companion.radios.wifi_ftm import MAC, complain_of_unsigned
 
 LENGTHS = ("mm", "cm", "m", "km", "ft")
 SUCCESSES = ("", "0", "success", "status_success", "ok")
@@ -410,24 +410,3 @@ class AndroidRttDecoder(FieldDecoder):
             return unit if self.options.time_unit == "auto" else self.options.time_unit
         digits = text.partition(".")[0]
         return DATES.get(len(digits), "") if digits.isdecimal() else ""
-
-
-FTM_CSV = RadioKind(
-    name="ftm_csv",
-    decoder=FtmCsvDecoder,
-    title="ESP32 Wi-Fi FTM, CSV of GTEC's and other firmware",
-    gives="range",
-    emitter="an FTM responder: an ESP32 or an access point that answers",
-    transport="serial:115200",
-    needs_emitter=True,
-    defaults={"range_sigma_m": 1.0, **BY_SHARE},
-)
-ANDROID_RTT = RadioKind(
-    name="android_rtt",
-    decoder=AndroidRttDecoder,
-    title="Android Wi-Fi RTT, CSV of an app",
-    gives="range",
-    emitter="an access point with 802.11mc",
-    transport="file",
-    defaults={"range_sigma_m": 1.0, "quality_min": LEAST_SHARE},
-)

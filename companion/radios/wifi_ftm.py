@@ -15,19 +15,11 @@ from typing import Annotated
 import msgspec
 
 from companion.domain import Params
-from companion.radios.decoder import Poll, RadioKind, RadioReading
+from companion.radios.decoder import RadioReading
 from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number, ratio
 
 LONGEST_M = 100_000.0
 """An unsigned distance that went below zero is far beyond this."""
-LEAST_SHARE = 0.125
-"""Least share of a burst's frames that must be valid: one of eight, the shortest burst."""
-BY_SHARE: Mapping[str, object] = {
-    "quality_min": LEAST_SHARE,
-    "sigma_factors": ((0.0, 2.8), (0.25, 2.0), (0.5, 1.4), (0.75, 1.0)),
-}
-"""Settings where quality is the share of valid frames and no sigma is reported: the mean of fewer
-frames scatters by the root of the share."""
 MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 
 
@@ -211,26 +203,3 @@ class IwFtmDecoder(FieldDecoder):
                 quality=ratio(successes, attempts),
             )
         )
-
-
-ESP32_FTM = RadioKind(
-    name="esp32_ftm",
-    decoder=Esp32FtmDecoder,
-    title="ESP32 Wi-Fi FTM, console of the IDF and Arduino examples",
-    gives="range",
-    emitter="an FTM responder: an ESP32 or an access point that answers",
-    transport="serial:115200",
-    needs_emitter=True,
-    clock_wrap_s=2**32 / 1000.0,
-    defaults={"range_sigma_m": 1.0, **BY_SHARE},
-)
-IW_FTM = RadioKind(
-    name="iw_ftm",
-    decoder=IwFtmDecoder,
-    title="Linux `iw` FTM requests, an Intel card for example",
-    gives="range",
-    emitter="an FTM responder: an access point that answers",
-    transport="exec",
-    poll=Poll("", 1.0),
-    defaults={"quality_min": LEAST_SHARE},
-)

@@ -108,6 +108,8 @@ class Emulator(ABC):
     """Usual."""
     names: ClassVar[str] = "{0}"
     """Template of an emitter's name, by its id (0) or address; empty: the format has no names."""
+    first: ClassVar[int] = 0
+    """Id in the format of emitter 0."""
     ids: ClassVar[range] = range(1 << 16)
     """Ids of the emitters that the format can name."""
     most: ClassVar[int] = 64
@@ -146,7 +148,7 @@ class Emulator(ABC):
     def name_on_wire(cls, emitter_id: int) -> str:
         """Return the name of an emitter in this format; empty: the format has no names."""
         mac = mac_of(emitter_id)
-        return cls.names.format(emitter_id, mac=mac, mac_capitals=mac.upper())
+        return cls.names.format(cls.first + emitter_id, mac=mac, mac_capitals=mac.upper())
 
     def device_s(self, sent_at_s: float) -> float:
         """Return the reading of the radio's clock."""

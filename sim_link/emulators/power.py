@@ -237,8 +237,6 @@ class Uavrt(Emulator):
 LTE_STEP_M = 0.5 * LIGHT_MPS * 16.0 / (15_000.0 * 2048.0)
 NR_STEP_M = 0.5 * LTE_STEP_M
 """Step at a subcarrier spacing of 30 kHz."""
-FIRST_CRNTI = 0x46
-FIRST_RNTI = 17_921
 FRAMES, SUBFRAMES = 1024, 10
 """Number after which the counters wrap: 10.24 s."""
 PREAMBLES = 64
@@ -263,25 +261,17 @@ class Srsran4g(RangeLines):
     name = "srsran_4g"
     title = "srsRAN 4G, RACH lines"
     rate_hz = 2.0
-    ids = range((1 << 16) - FIRST_CRNTI)
+    names = "0x{0:x}"
+    first = 0x46
+    ids = range((1 << 16) - first)
     banner = lines(["", "==== eNodeB started ===", "Type <t> to view trace"])
 
     def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:
         """Return that its random access was heard, and that it is connected."""
         tti = clock_ms % (FRAMES * SUBFRAMES)
-        offset, crnti = steps_of(range_m, LTE_STEP_M), crnti_of(answer.emitter_id)
+        offset, crnti = steps_of(range_m, LTE_STEP_M), self.first + answer.emitter_id
         preamble = int(self._rng.integers(PREAMBLES))
         return [rach_line(tti, preamble, offset, crnti), f"User 0x{crnti:x} connected"]
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the temporary identity."""
-        return f"0x{crnti_of(emitter_id):x}"
-
-
-def crnti_of(emitter_id: int) -> int:
-    """Return the temporary identity, counted up from srsRAN's first."""
-    return FIRST_CRNTI + emitter_id
 
 
 class Srsran(Emulator):
@@ -290,7 +280,8 @@ class Srsran(Emulator):
     name = "srsran"
     title = "srsRAN Project, metrics of the remote control"
     rate_hz = 1.0
-    ids = range((1 << 16) - FIRST_RNTI)
+    first = 17_921
+    ids = range((1 << 16) - first)
     epoch_s = SIMULATION_BEGAN_S
 
     def encode(self, asked: Round) -> bytes:
@@ -302,12 +293,7 @@ class Srsran(Emulator):
 
     def _ue(self, number: int, answer: Answer) -> dict[str, object]:
         ta_ns = 0.0 if answer.range_m is None else round(1e9 * round_trip_s(answer.range_m), 1)
-        return {"ue": number, "pci": 1, "rnti": FIRST_RNTI + answer.emitter_id, "ta_ns": ta_ns}
-
-    @classmethod
-    def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the temporary identity."""
-        return str(FIRST_RNTI + emitter_id)
+        return {"ue": number, "pci": 1, "rnti": self.first + answer.emitter_id, "ta_ns": ta_ns}
 
 
 class Oai(RangeLines):

@@ -22,7 +22,7 @@ import functools
 import operator
 import re
 
-from companion.radios.decoder import LineDecoder, RadioKind, RadioReading
+from companion.radios.decoder import LineDecoder, RadioReading
 
 LINE = re.compile(r"\\$(ACM,([0-9]{1,5}),([0-9]{1,7}))\\*([0-9A-F]{2})")
 
@@ -42,25 +42,14 @@ class AcmeDecoder(LineDecoder):
             return []
         self.counts.frames += 1
         return [RadioReading(tag, range_m=int(range_mm) / 1000.0)]
-
-
-ACME = RadioKind(
-    name="acme",
-    decoder=AcmeDecoder,
-    title="Acme Pinger",
-    gives="range",
-    emitter="an Acme tag",
-    transport="serial:115200",
-    defaults={"range_sigma_m": 0.5},
-)
 ''',
         ),
     ),
     2: (
         Edit(
-            "companion/radios/decoder.py",
-            '    "acme": "companion.radios.acme:ACME",\n',
-            r"^BUILT_IN: .* = \{\n",
+            "companion/radios/kinds.yaml",
+            "\nacme:\n  decoder: acme:AcmeDecoder\n  title: Acme Pinger\n  gives: range\n"
+            "  emitter: an Acme tag\n  defaults: {range_sigma_m: 0.5}\n",
         ),
     ),
     3: (

@@ -7,8 +7,8 @@ from struct import pack
 
 import pytest
 
-from companion.radios.decoder import AngleFrame, RadioReading
-from companion.radios.fira import PER_RAD, SR150, FiraUciDecoder, Sr150Decoder
+from companion.radios.decoder import AngleFrame, RadioReading, radio_kind
+from companion.radios.fira import PER_RAD, FiraUciDecoder, Sr150Decoder
 
 EMPTY = bytes.fromhex(
     "62 00 00 19 00 02 03 04 05 06 07 08 00 0a 01 01 01 01 00 00 00 00 00 00 00 00 00 00 00"
@@ -140,7 +140,8 @@ def test_an_sr150_frame_tells_range_and_both_angles_of_its_peer() -> None:
     assert degrees(reading.elevation_rad) == pytest.approx(5.0)
     assert reading.quality == 0.8
     assert reading.line_of_sight is True
-    assert (SR150.defaults["bearing_sign"], SR150.defaults["elevation_sign"]) == (-1, -1)
+    defaults = radio_kind("sr150").defaults
+    assert (defaults["bearing_sign"], defaults["elevation_sign"]) == (-1, -1)
 
 
 @pytest.mark.parametrize(("at", "value"), [(22, 7), (31, 101), (35, 0x1C)])

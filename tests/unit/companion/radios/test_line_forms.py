@@ -8,9 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from companion.errors import ConfigError
-from companion.radios.decoder import BUILT_IN, RadioDecoder, RadioReading, radio_kind
+from companion.radios.decoder import RadioDecoder, RadioReading, radio_kind
 from companion.radios.line_forms import (
-    RADIOS,
     PozyxDecoder,
     PozyxOptions,
     Ryuw122Decoder,
@@ -201,7 +200,3 @@ def test_a_tag_that_is_no_address_is_refused_in_words(
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         make()
-
-
-def test_the_table_and_the_catalogue_have_the_same_names() -> None:
-    assert set(RADIOS) == {name for name, place in BUILT_IN.items() if "line_forms" in place}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.radios.decoder import Poll, RadioReading
-from companion.radios.fira import PANS_TLV, PansDecoder, PansOptions, PansTlvDecoder
+from companion.radios.decoder import Poll, RadioReading, radio_kind
+from companion.radios.fira import PansDecoder, PansOptions, PansTlvDecoder
 
 FOUR = (
     "DIST,4,AN0,022E,7.94,8.03,0.00,3.44,AN1,9280,7.95,0.00,0.00,5.68,"
@@ -116,7 +116,7 @@ def test_an_error_is_told_and_what_fits_no_answer_costs_a_byte() -> None:
 
 
 def test_a_tag_is_asked_as_often_as_it_ranges_at_most() -> None:
-    assert PANS_TLV.poll == Poll("", 0.1, b"\x0c\x00")
+    assert radio_kind("pans_tlv").poll == Poll("", 0.1, b"\x0c\x00")
 
 
 def test_an_answer_that_has_not_changed_is_no_new_one() -> None:
