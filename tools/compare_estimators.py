@@ -26,14 +26,7 @@ from companion.io.files import check_writable, write_json_atomic
 from companion.kernel import Matrix
 from companion.replay.walk_replay import WalkRow
 from tools.console import OneLineParser, non_negative, positive, shown
-from tools.study.walks.walk_figures import (
-    name_of_preset,
-    preset_of,
-    quantile,
-    replayed,
-    targets_of,
-    walks_in,
-)
+from tools.study.walks import walk_figures
 
 LEVELS = (0.5, 0.8, 0.95, 0.99)
 NOTHING_M = 1e3
@@ -95,7 +88,7 @@ def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
     """Return the score of every estimator for one target of a walk."""
     from tools.study.walks.rival_estimators import RIVALS, Batch
 
-    truth, params = rows[0].truth_enu_m, preset_of(path)
+    truth, params = rows[0].truth_enu_m, walk_figures.preset_of(path)
     assert truth is not None
     found: list[Score] = []
 
@@ -103,11 +96,11 @@ def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
         name: str, began_s: float, result: tuple[float, float, tuple[bool, ...], float]
     ) -> None:
         spent_ms = 1000.0 * (time.process_time() - began_s) / len(rows)
-        about = (name_of_preset(path), path.stem, rows[0].target_id, len(rows))
+        about = (walk_figures.name_of_preset(path), path.stem, rows[0].target_id, len(rows))
         found.append(Score(name, *about, *result, spent_ms))
 
     began_s = time.process_time()
-    final = replayed(path.stem, rows, params).final
+    final = walk_figures.replayed(path.stem, rows, params).final
     if final is None or final.estimate is None:
         add(OURS, began_s, (NOTHING_M, NOTHING_M, (True,) * len(LEVELS), NOTHING_M))
     else:
@@ -190,8 +183,8 @@ def table(scores: Sequence[Score]) -> str:
             preset,
             name,
             str(len(of)),
-            f"{quantile(errors, 0.5):.2f}, {quantile(errors, 0.9):.2f}",
-            f"{quantile(radii, 0.5):.2f}",
+            f"{walk_figures.quantile(errors, 0.5):.2f}, {walk_figures.quantile(errors, 0.9):.2f}",
+            f"{walk_figures.quantile(radii, 0.5):.2f}",
             " / ".join(f"{share:.0f}" for share in shares),
             ratio_text(errors, radii),
             f"{np.mean([s.energy_m for s in of]):.2f}",
@@ -262,13 +255,15 @@ def compared(arguments: argparse.Namespace) -> list[Score]:
         if path is not None:
             check_writable(path)
     walks = [
-        p for p in walks_in(arguments.folder) if not arguments.only or p.stem in arguments.only
+        p
+        for p in walk_figures.walks_in(arguments.folder)
+        if not arguments.only or p.stem in arguments.only
     ]
     rng = np.random.default_rng(arguments.seed)
     tasks = [
         (path, walk)
         for path in walks
-        for rows in targets_of(path, arguments.own_sigma)
+        for rows in walk_figures.targets_of(path, arguments.own_sigma)
         for walk in (shifted(rows, arguments.shifts, rng) if arguments.shifts else [rows])
     ]
     scores: list[Score] = []

@@ -17,14 +17,7 @@ from time import monotonic
 from typing import NoReturn, TextIO, TypeVar
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 from sim_link.lab.pool import LOCAL, open_pool
 
@@ -95,15 +88,7 @@ def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
     if not stream.isatty():
         yield progress_lines(total, stream, monotonic)
         return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(file=stream)) as progress:
+    with Progress(console=Console(file=stream)) as progress:
         task = progress.add_task("runs", total=total)
         yield lambda share: progress.advance(task, share)
 

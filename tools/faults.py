@@ -21,18 +21,8 @@ from companion.entry import ignore_broken_pipe
 from companion.errors import CompanionError
 from companion.io.files import write_json_atomic
 from sim_link.lab.pool import LOCAL
+from tools.campaign import runner
 from tools.campaign.flights import Trial
-from tools.campaign.runner import (
-    PARTS,
-    SIZES,
-    CampaignTally,
-    judge,
-    report,
-    run_all,
-    run_one,
-    trial_named,
-    trials_of,
-)
 from tools.console import OneLineParser, non_negative, positive, shown
 
 REPLAY = "python tools/faults.py --replay"
@@ -42,9 +32,9 @@ INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a campaign, or one of its trials again; return the exit code."""
-    epilog = "parts: " + "; ".join(f"{part.name}: {part.title}" for part in PARTS.values())
+    epilog = "parts: " + "; ".join(f"{part.name}: {part.title}" for part in runner.PARTS.values())
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=epilog)
-    parser.add_argument("--campaign", choices=SIZES, default="ci", help="how much of it")
+    parser.add_argument("--campaign", choices=runner.SIZES, default="ci", help="how much of it")
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")
@@ -55,8 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.disable(logging.CRITICAL)  # the texts of flights are in their stories
     try:
         if arguments.replay is not None:
-            return replay(trial_named(arguments.replay))
-        trials = trials_of(arguments.campaign, arguments.seed, arguments.only)
+            return replay(runner.trial_named(arguments.replay))
+        trials = runner.trials_of(arguments.campaign, arguments.seed, arguments.only)
         facts = {
             "version": __version__,
             "campaign": arguments.campaign,
@@ -69,23 +59,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str, object]) -> int:
     """Run all trials, print and write the figures; return the exit code."""
-    costs = {trial: PARTS[trial.part].cost(trial) for trial in trials}
+    costs = {trial: runner.PARTS[trial.part].cost(trial) for trial in trials}
     started_s = time.monotonic()
     code = 0
     try:
         with shown(sum(costs.values()), sys.stderr) as done:
-            tally = run_all(
+            tally = runner.run_all(
                 trials, arguments.jobs, lambda o: done(costs[o.trial]), arguments.backend
             )
     except KeyboardInterrupt as interruption:
-        tally = interruption.args[0] if interruption.args else CampaignTally()
+        tally = interruption.args[0] if interruption.args else runner.CampaignTally()
         code = INTERRUPTED
-    judge(tally)
+    runner.judge(tally)
     facts |= {
         "wall_s": round(time.monotonic() - started_s, 1),
         "is_complete": tally.trials == len(trials),
     }
-    summary = report(tally, facts, REPLAY)
+    summary = runner.report(tally, facts, REPLAY)
     if arguments.json is not None:
         write_json_atomic(arguments.json, summary)
     for name, value in summary.items():
@@ -101,7 +91,7 @@ def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str
 
 def replay(trial: Trial) -> int:
     """Run one trial again, print its story and its figures; return the exit code."""
-    outcome = run_one(trial)
+    outcome = runner.run_one(trial)
     print(*outcome.story, sep="\n")
     for name, value in sorted({**outcome.most, **outcome.least}.items()):
         print(f"{name:32s} {value:.6g}")

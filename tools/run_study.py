@@ -22,7 +22,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
 from tools.console import OneLineParser, csv_text, done_by, non_negative, positive, say
-from tools.study import search_planners, searched_area
+from tools.study import search_planners, searched_area, study_run
 from tools.study.field_flights import flights_of, fly
 from tools.study.power_pairs import fly_both, table_of_power
 from tools.study.reporting.area_report import write_area_report
@@ -33,16 +33,6 @@ from tools.study.reporting.tables import tables_of
 from tools.study.searched_prior import fly_pair, table_of_pairs
 from tools.study.step_costs import costs_of
 from tools.study.study import FlightRow, ResultRow, Study, StudyResult
-from tools.study.study_run import (
-    FOLDER_NAME,
-    Store,
-    carried_out,
-    cost_of,
-    made_folder,
-    results_of,
-    tallied,
-    work_of,
-)
 
 STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 
@@ -100,18 +90,20 @@ def parsed() -> argparse.Namespace:
 
 def run(studies: list[Study], arguments: argparse.Namespace, out: Path) -> int:
     """Run after the arguments are checked: nothing is made before the backend is there."""
-    work = work_of(studies, arguments.seed)
+    work = study_run.work_of(studies, arguments.seed)
     with open_pool(arguments.backend, arguments.jobs) as pool:
-        store = Store(out / FOLDER_NAME)
+        store = study_run.Store(out / study_run.FOLDER_NAME)
         say("kernels that were not compiled before take a minute or two first")
-        carried_out(work, tallied, cost_of, pool, store, "blocks of runs")
+        study_run.carried_out(
+            work, study_run.tallied, study_run.cost_of, pool, store, "blocks of runs"
+        )
         written(studies, store, arguments.seed, out)
     return 0
 
 
-def written(studies: list[Study], store: Store, seed: int, out: Path) -> None:
+def written(studies: list[Study], store: study_run.Store, seed: int, out: Path) -> None:
     """Write tables and the report of finished work."""
-    results = results_of(studies, seed, store)
+    results = study_run.results_of(studies, seed, store)
     rows = [row for result in results for row in rows_of(result)]
     costs = costs_of(results)
     write_text_atomic(out / "results.csv", table_text(rows))
@@ -127,9 +119,9 @@ def run_flights(study: Study, arguments: argparse.Namespace, out: Path) -> int:
     flights = flights_of(study.flights, STUDIES.parent, study.runs, seed, arguments.only)
     work = {flight.key: flight for flight in flights}
     with open_pool(arguments.backend, arguments.jobs) as pool:
-        store = Store(out / FOLDER_NAME)
+        store = study_run.Store(out / study_run.FOLDER_NAME)
         try:
-            carried_out(work, fly, lambda flight: flight.cut_s, pool, store, "flights")
+            study_run.carried_out(work, fly, lambda flight: flight.cut_s, pool, store, "flights")
         finally:
             kept = store.found(work).values()
             write_flights(
@@ -156,7 +148,7 @@ def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
     """Fly a study that no file describes; write what came of its flights, in their order."""
     study = SIMULATED[arguments.study]
     runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
-    made_folder(out)
+    study_run.made_folder(out)
     flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
     if study.write(out, flown):
         return 0

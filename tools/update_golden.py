@@ -19,35 +19,30 @@ import tempfile
 from pathlib import Path
 
 from companion.entry import ignore_broken_pipe
-from tests.loop.golden_flights import (
-    COURSES,
-    FOLDER,
-    PLANS,
-    SUFFIX,
-    GoldenCourse,
-    fly,
-    load,
-    load_courses,
-    replayed,
-    save,
-    save_courses,
-)
+from tests.loop import golden_flights
 
 
 def main() -> None:
     """Replay or fly the flights again, and write their digests."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", metavar="NAME", nargs="*", choices=[*PLANS, []], help="only these")
+    parser.add_argument(
+        "names", metavar="NAME", nargs="*", choices=[*golden_flights.PLANS, []], help="only these"
+    )
     parser.add_argument("--fly", action="store_true", help="fly again instead of replaying")
     arguments = parser.parse_args()
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    courses = load_courses() if COURSES.exists() else {}
-    for name in arguments.names or list(PLANS):
-        path = FOLDER / f"{name}{SUFFIX}"
+    golden_flights.FOLDER.mkdir(parents=True, exist_ok=True)
+    courses = golden_flights.load_courses() if golden_flights.COURSES.exists() else {}
+    for name in arguments.names or list(golden_flights.PLANS):
+        path = golden_flights.FOLDER / f"{name}{golden_flights.SUFFIX}"
         if arguments.fly or not path.exists():
             with tempfile.TemporaryDirectory() as directory:
-                save(fly(PLANS[name], Path(directory)), path)
-        before, now = courses.get(name), GoldenCourse.of(replayed(load(path)))
+                golden_flights.save(
+                    golden_flights.fly(golden_flights.PLANS[name], Path(directory)), path
+                )
+        before, now = (
+            courses.get(name),
+            golden_flights.GoldenCourse.of(golden_flights.replayed(golden_flights.load(path))),
+        )
         word = "as it was" if now == before else "new" if before is None else "CHANGED"
         courses[name] = now
         size_kb = path.stat().st_size / 1000.0
@@ -55,7 +50,9 @@ def main() -> None:
             f"{name:<18} {word:<9} {now.estimates:>4} estimates {now.setpoints:>5} setpoints "
             f"{size_kb:6.1f} kB"
         )
-    save_courses({name: courses[name] for name in PLANS if name in courses})
+    golden_flights.save_courses(
+        {name: courses[name] for name in golden_flights.PLANS if name in courses}
+    )
 
 
 if __name__ == "__main__":

@@ -23,17 +23,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkDelay, LinkJitter, LinkLoss, Schedule
 from sim_link.world.environment import EmitterParams
 from sim_link.world.point_mass import MulticopterParams, WindParams
-from tools.campaign.flights import (
-    MODES,
-    Dice,
-    Monitored,
-    Part,
-    Trial,
-    TrialOutcome,
-    launched_flight,
-    monitored_flight,
-    random_fault,
-)
+from tools.campaign import flights
 from tools.study.searched_area import box
 
 Corners = tuple[tuple[float, float], ...]
@@ -132,7 +122,7 @@ class MissionCase:
 def mission_case(seed: int) -> MissionCase:
     """Return the mission of a seed."""
     rng = np.random.default_rng((seed, 0xF11))
-    dice = Dice(rng)
+    dice = flights.Dice(rng)
     place = dice.one(PLACES)
     flavour = dice.flavour()
     scenario = _scenario(dice, place, emitter_of(place, rng), flavour)
@@ -142,7 +132,7 @@ def mission_case(seed: int) -> MissionCase:
         payload = msgspec.structs.replace(scenario.payload, max_range_m=REACH_M)
         scenario = msgspec.structs.replace(scenario, payload=payload)
     is_signed = dice.happens(SIGNED_SHARE)
-    faults = [random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
+    faults = [flights.random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
     latency_s = dice.number(0.0, LATENCY_S)
     share = dice.number(0.0, 1.0)
     delays = (
@@ -155,7 +145,7 @@ def mission_case(seed: int) -> MissionCase:
 
 
 def _scenario(
-    dice: Dice, place: Place, emitter: tuple[float, float], flavour: FlavourName
+    dice: flights.Dice, place: Place, emitter: tuple[float, float], flavour: FlavourName
 ) -> Scenario:
     heading = dice.number(-math.pi, math.pi)
     wind_mps = dice.one((0.0, dice.number(0.0, WIND_MPS), WIND_MPS))
@@ -172,7 +162,7 @@ def _scenario(
     )
 
 
-def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
+def _config(dice: flights.Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
     limits = schema.LimitsConfig(
         fence_enu_m=place.fence_enu_m,
         keep_out_enu_m=place.keep_out_enu_m,
@@ -203,14 +193,14 @@ def _config(dice: Dice, place: Place, *, is_operated: bool) -> schema.CompanionC
 SAID = 400
 
 
-def fly_mission(trial: Trial) -> TrialOutcome:
+def fly_mission(trial: flights.Trial) -> flights.TrialOutcome:
     """Fly one mission."""
     case = mission_case(trial.seed)
     around = fly(case)
     monitor = around.monitor
     closest_m = monitor.fence.closest_m
     lines = [str(case), *(f"fault {fields_of(fault)}" for fault in case.schedule.faults)]
-    return TrialOutcome(
+    return flights.TrialOutcome(
         trial,
         tuple(around.findings),
         sums={
@@ -226,9 +216,11 @@ def fly_mission(trial: Trial) -> TrialOutcome:
     )
 
 
-def fly(case: MissionCase) -> Monitored:
+def fly(case: MissionCase) -> flights.Monitored:
     """Fly a mission to its end."""
-    around = monitored_flight(case.config, case.scenario, case.seed, is_signed=case.is_signed)
+    around = flights.monitored_flight(
+        case.config, case.scenario, case.seed, is_signed=case.is_signed
+    )
     flight = around.flight
     if case.is_operated:
         _take_off(around)
@@ -241,7 +233,7 @@ def fly(case: MissionCase) -> Monitored:
     return around
 
 
-def _take_off(around: Monitored) -> None:
+def _take_off(around: flights.Monitored) -> None:
     """Let the operator take off and hand over, in the order that the autopilot requires."""
     flight, operator = around.flight, around.operator
     flight.run(3.0)
@@ -257,7 +249,7 @@ def _take_off(around: Monitored) -> None:
         operator.choose(FlightMode.OFFBOARD)
 
 
-def _give_again(around: Monitored) -> None:
+def _give_again(around: flights.Monitored) -> None:
     """Let the operator hand over again, if the vehicle flies in another mode."""
     flight = around.flight
     if not flight.sim.vehicle.is_armed or flight.mode is FlightMode.OFFBOARD:
@@ -274,9 +266,9 @@ AGAIN = 10
 GIVE_BACK_S = 3.0
 
 
-def take_over(trial: Trial) -> TrialOutcome:
+def take_over(trial: flights.Trial) -> flights.TrialOutcome:
     """Fly ten take-overs in one flight."""
-    around, dice = launched_flight(trial.seed, 0x0E7)
+    around, dice = flights.launched_flight(trial.seed, 0x0E7)
     flight = around.flight
     share = dice.one(LOSSES)
     if share:
@@ -289,11 +281,11 @@ def take_over(trial: Trial) -> TrialOutcome:
         if not _give_back(around):
             continue
         flight.run(dice.number(0.0, OVER_S / AGAIN * 2.0))
-        around.injector.add(PilotMode(mode=dice.one(MODES)))
+        around.injector.add(PilotMode(mode=dice.one(flights.MODES)))
         flight.run(AFTER_S)
         taken += 1
     authority = around.monitor.authority
-    return TrialOutcome(
+    return flights.TrialOutcome(
         trial,
         tuple(around.findings),
         sums={"overrides": float(taken), "override_late_frames": float(authority.late)},
@@ -302,7 +294,7 @@ def take_over(trial: Trial) -> TrialOutcome:
     )
 
 
-def _give_back(around: Monitored) -> bool:
+def _give_back(around: flights.Monitored) -> bool:
     """Return True if the companion is in control, perhaps after another hand-over."""
     flight = around.flight
     for _ in range(4):
@@ -315,8 +307,10 @@ def _give_back(around: Monitored) -> bool:
     return flight.mode is FlightMode.OFFBOARD
 
 
-MISSIONS = Part("missions", "random missions with 1 to 4 faults", run=fly_mission, cost_s=0.8)
-OVERRIDES = Part(
+MISSIONS = flights.Part(
+    "missions", "random missions with 1 to 4 faults", run=fly_mission, cost_s=0.8
+)
+OVERRIDES = flights.Part(
     "override",
     "pilot take-overs at random instants, 0, 10 and 30 % loss",
     run=take_over,

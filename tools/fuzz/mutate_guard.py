@@ -156,11 +156,6 @@ def run(targets: Sequence[Path], jobs: int, only: str) -> Verdicts:
             if len(running) >= jobs:
                 reap()
             running[start(tests, module, tree)] = mutant
-            done = verdicts.killed + verdicts.timeouts + len(verdicts.survived)
-            if sys.stderr.isatty():
-                print(
-                    f"\r{done} tried, {len(verdicts.survived)} survived ", end="", file=sys.stderr
-                )
     while running:
         reap()
     return verdicts

@@ -169,7 +169,6 @@ def flown(mover: Mover, grid: SearchGrid, model: DetectionModel, length_s: float
 class SearchTimes:
     """Times of one planner in one world."""
 
-    flight: int
     poa: Poa
     planner: Name
     times_s: tuple[float, ...]
@@ -192,7 +191,7 @@ def fly_planners(number: int, seed: int) -> list[SearchTimes]:
             luck = np.random.default_rng([seed, number, index, 1])
             heard = are_heard(world, emitters, track, luck)
             times = np.where(heard.any(axis=1), STEP_S * heard.argmax(axis=1), math.inf)
-            found.append(SearchTimes(number, poa, name, tuple(times.tolist())))
+            found.append(SearchTimes(poa, name, tuple(times.tolist())))
     return found
 
 

@@ -36,7 +36,7 @@ def test_a_planner_keeps_to_fence_and_speed(name: Name) -> None:
 
 
 def of(poa: Poa, planner: Name, *times_s: float) -> SearchTimes:
-    return SearchTimes(0, poa, planner, times_s)
+    return SearchTimes(poa, planner, times_s)
 
 
 def test_the_table_compares_medians_and_misses_count() -> None:
