@@ -248,23 +248,19 @@ class RadioFollower(OneShotEndpoint):
         if now_s - self._asked_s < ASK_AGAIN_S:
             return
         self._asked_s = now_s
+        interval, request = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE
         if now_s - self._position_heard_s > ASK_AGAIN_S:
-            number = float(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
-            self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
+            self._ask(interval, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, POSITION_INTERVAL_US)
         is_turned = self._params.antenna.kind != "ideal" or self._emulator is not None
         if is_turned and now_s - self._attitude_heard_s > ASK_AGAIN_S:
-            number = float(mavlink.MAVLINK_MSG_ID_ATTITUDE)
-            self._ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, POSITION_INTERVAL_US)
+            self._ask(interval, mavlink.MAVLINK_MSG_ID_ATTITUDE, POSITION_INTERVAL_US)
         if self.needs_origin:
-            number = float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
-            self._ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number, 0.0)
+            self._ask(request, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
 
-    def _ask(self, command: int, param1: float, param2: float) -> None:
+    def _ask(self, command: int, number: int, interval_us: float = 0.0) -> None:
         target = (self._system_id or 1, mavlink.MAV_COMP_ID_AUTOPILOT1)
-        rest = [0.0] * 5
-        self._send(
-            mavlink.MAVLink_command_long_message(*target, command, 0, param1, param2, *rest), FOLLOW
-        )
+        params = (float(number), interval_us, *[0.0] * 5)
+        self._send(mavlink.MAVLink_command_long_message(*target, command, 0, *params), FOLLOW)
 
     def _send(self, message: Message, link: int) -> None:
         peer = self._peer if link == FOLLOW else None

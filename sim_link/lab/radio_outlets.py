@@ -55,12 +55,9 @@ def parse_outlet(text: str, kind: type[Emulator]) -> Transport:
         return OwnLine("stdout:", lambda index, _: StdoutLink(index))
     if kind.socket is not None and scheme != "ws":
         raise ConfigError(f"--to {text}: {kind.name} is a web socket; give ws:HOST:PORT")
-    if scheme == "ws":
-        page = parse_page(text.strip(), kind)
-        return OwnLine(f"ws:{page.host}:{page.port}", lambda index, _: SocketLink(page, index))
-    if scheme == "http":
-        page = parse_page(text.strip(), kind)
-        return OwnLine(f"http:{page.host}:{page.port}", lambda index, _: HttpLink(page, index))
+    if scheme in ("ws", "http"):
+        page, serve = parse_page(text.strip(), kind), SocketLink if scheme == "ws" else HttpLink
+        return OwnLine(f"{scheme}:{page.host}:{page.port}", lambda index, _: serve(page, index))
     try:
         transport = parse_transport(text)
     except ConfigError as error:
