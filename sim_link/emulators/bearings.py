@@ -97,7 +97,6 @@ class Kraken(Emulator):
 
     name = "kraken"
     title = "KrakenSDR, DOA_value.html"
-    gives = "azimuth"
     antenna = "planar"
     measures = "bearing"
     rate_hz = 2.0
@@ -207,7 +206,6 @@ class Uudf(LineEmulator):
     name = "uudf"
     title = "u-blox C209 and ANNA-B4, +UUDF"
     names = "02000000{0:04X}"
-    gives = "azimuth, elevation"
     antenna = "planar"
     measures = "bearing"
     ANCHOR = "CCF9578E0D89"

@@ -100,7 +100,6 @@ class Emulator(ABC):
     name: ClassVar[str]
     """Name as in `sim-link radio --as NAME`."""
     title: ClassVar[str]
-    gives: ClassVar[str] = "range"
     antenna: ClassVar[AntennaKind] = "ideal"
     """Antenna of the real radio, emulated unless the scenario has another."""
     measures: ClassVar[Measures] = "range"

@@ -212,7 +212,6 @@ class NLinkAoa(NLinkEmulator):
 
     name = "nlink_aoa"
     title = "Nooploop LinkTrack AOA, AOA_NodeFrame0"
-    gives = "range, azimuth"
     antenna = "line"
     measures = "both"
 
@@ -266,7 +265,6 @@ class NLinkIot(NLinkEmulator):
 
     name = "nlink_iot"
     title = "Nooploop IoT series, IoT_Frame0"
-    gives = "range, azimuth, elevation"
     antenna = "two_axis"
     measures = "both"
     ids: ClassVar[range] = range(1 << 16)

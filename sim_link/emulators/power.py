@@ -53,7 +53,6 @@ class WifiScan(LineEmulator):
     name = "wifi_scan"
     title = "Linux iw, scan of access points"
     names = "{mac}"
-    gives = "power"
     rate_hz = 4.0
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
@@ -78,7 +77,6 @@ class BleScan(LineEmulator):
     name = "ble_scan"
     title = "BlueZ btmon, advertisements"
     names = "{mac_capitals}"
-    gives = "power"
     rate_hz = 5.0
     banner = lines(["Bluetooth monitor ver 5.65"])
 
@@ -102,7 +100,6 @@ class Esp32Sniffer(LineEmulator):
     name = "esp32_sniffer"
     title = "ESP32 promiscuous mode, PACKET TYPE lines"
     names = "{mac}"
-    gives = "power"
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:  # noqa: ARG002
         """Return a probe request of a device."""
@@ -126,7 +123,6 @@ class LoraForwarder(Emulator):
     name = "lora_forwarder"
     title = "LoRa gateway, Semtech packet forwarder"
     names = "260B{0:04X}"
-    gives = "power"
     rate_hz = 1.0
 
     def encode(self, asked: Round) -> bytes:
@@ -163,7 +159,6 @@ class ChirpStack(Emulator):
     name = "chirpstack"
     title = "ChirpStack 4, uplink events"
     names = "02000000000{0:05x}"
-    gives = "power"
     rate_hz = 1.0
 
     def encode(self, asked: Round) -> bytes:
@@ -216,7 +211,6 @@ class Uavrt(Emulator):
 
     name = "uavrt"
     title = "UAV-RT pulses, datagrams of the detector"
-    gives = "power"
     rate_hz = 1.0
     epoch_s = SIMULATION_BEGAN_S
     FREQUENCY_HZ: ClassVar[float] = 146_000_000.0

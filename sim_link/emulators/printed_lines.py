@@ -65,7 +65,6 @@ class Ndjson(Emulator):
 
     name = "ndjson"
     title = "generic NDJSON lines"
-    gives = "range, azimuth, elevation"
     measures = "both"
     epoch_s = SIMULATION_BEGAN_S
     reports_north = True
@@ -164,7 +163,6 @@ class SilabsAoa(Emulator):
     name = "silabs_aoa"
     title = "Silicon Labs AoA, JSON by MQTT"
     names = "02000000{0:04X}"
-    gives = "azimuth, elevation"
     antenna = "planar"
     measures = "bearing"
 
@@ -247,7 +245,6 @@ class Kn5r(LineEmulator):
     name = "doppler_kn5r"
     title = "Doppler direction finder, KN5R-RDF sentences"
     names = ""
-    gives = "azimuth"
     antenna = "planar"
     measures = "bearing"
     rate_hz = 20.0

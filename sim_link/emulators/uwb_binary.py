@@ -91,7 +91,6 @@ class FiraUci(Emulator):
 
     name = "fira_uci"
     title = "FiRa UCI, SESSION_INFO_NTF"
-    gives = "range, azimuth, elevation"
     antenna = "two_axis"
     measures = "both"
     rate_hz = 5.0
@@ -143,7 +142,6 @@ class Sr150(Emulator):
 
     name = "sr150"
     title = "NXP SR150, as PX4's uwb_sr150 reads it"
-    gives = "range, azimuth, elevation"
     antenna = "two_axis"
     measures = "both"
 

@@ -98,7 +98,6 @@ class QorvoCli(Emulator):
     name = "qorvo_cli"
     title = "Qorvo QM33 and DW3xxx CLI, SESSION_INFO_NTF"
     names = "0x{0:04x}"
-    gives = "range, azimuth, elevation"
     antenna = "two_axis"
     measures = "both"
     rate_hz = 5.0
@@ -136,7 +135,6 @@ class PdoaJs(Emulator):
     name = "pdoa_js"
     title = "Decawave PDoA kit and Makerfabs MaUWB_AOA, JS frames"
     names = "{0:04X}"
-    gives = "range, azimuth"
     antenna = "line"
     measures = "both"
     banner = lines([js_frame({"SN": {"a16": "0001", "V": 1, "X": 12, "Y": -31, "Z": 1003}})])

@@ -36,7 +36,7 @@ def round_at(emulator: Emulator, now_s: float, number: int) -> Round:
     heard = RangingMeasurement(
         emitter_id=1,
         measured_at_s=now_s,
-        range_m=20.0 + 0.1 * number if "range" in emulator.gives else None,
+        range_m=20.0 + 0.1 * number,
         range_sigma_m=0.5,
         bearing_body_rad=0.2 + 0.01 * (number % 9),
         elevation_rad=-0.1,
