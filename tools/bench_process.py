@@ -11,9 +11,6 @@ reports them. Flights alternate, one at a time.
 
 from __future__ import annotations
 
-import argparse
-import asyncio
-import importlib
 import json
 import os
 import signal
@@ -21,11 +18,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from companion.entry import ignore_broken_pipe
 from companion.io.child_processes import free_udp_port
@@ -60,12 +56,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", choices=CLIENTS, help="repeatable")
     parser.add_argument("--kernels", type=Path, metavar="FOLDER", help="compiled ahead")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--listen", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.listen is not None:
-        with suppress(KeyboardInterrupt):
-            listen(*options.listen.split("@"))
-        return 0
     print(f"{'client':10} {'memory':>8} {'processor':>10}")
     uses = []
     clients = [name for name in CLIENTS if options.kernels or name not in AHEAD]
@@ -99,7 +90,7 @@ def measure(client: str, seconds: int, kernels: Path | None) -> Use:
 def command_of(client: str, port: int, folder: Path) -> Sequence[str]:
     """Return the command that starts it."""
     if client in LISTENERS:
-        return sys.executable, __file__, "--listen", f"{client}@{port}"
+        return sys.executable, str(ROOT / "tools/benches/listeners.py"), client, str(port)
     config = folder / "fly.yaml"
     lines = (
         "mission: {engage: auto, stop_confirm_s: 1000.0}",  # flies until it is stopped
@@ -151,39 +142,6 @@ def processor_s(pid: int) -> float:
 def resident_mb(pid: int) -> float:
     """Return the resident memory, MB."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def listen(library: str, port: str) -> None:
-    """Receive everything and do nothing with it."""
-    if library == "mavsdk":
-        asyncio.run(listen_by_mavsdk(port))
-    mavutil: Any = importlib.import_module("pymavlink.mavutil")
-    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}")
-    while True:
-        link.recv_match(blocking=True)
-
-
-async def listen_by_mavsdk(port: str) -> None:
-    """Subscribe to the messages of a small app."""
-    from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
-    from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
-
-    settings = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
-    async with Mavsdk(settings) as mavsdk:
-        await mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        telemetry = TelemetryAsync(await mavsdk.first_autopilot(30.0))
-        streams = (
-            telemetry.subscribe_position(),
-            telemetry.subscribe_attitude_euler(),
-            telemetry.subscribe_health(),
-        )
-        await asyncio.gather(*map(exhaust, streams))
-
-
-async def exhaust(stream: AsyncIterator[object]) -> None:
-    """Read a stream for ever."""
-    async for _ in stream:
-        pass
 
 
 if __name__ == "__main__":
