@@ -39,7 +39,7 @@ METRICS = {
     "beyond_3_r95": "Share of reports whose error is more than three times R95",
     "error_m": "Median error, relative, m",
     "r95_m": "Median R95, relative, m",
-    "r95_over_error": "Median R95 by median error",
+    "r95_over_error_95": "Median R95 by the 95 % quantile of the errors",
     "absolute_error_m": "Median error, absolute, m",
     "absolute_r95_m": "Median R95, absolute, m",
     "time_s": "Median time from engaging to the report, s",

@@ -73,7 +73,7 @@ def test_a_cell_says_what_was_reported_and_what_of_that_is_true() -> None:
         "beyond_3_r95": "0.25",
         "error_m": "2.5",
         "r95_m": "2",
-        "r95_over_error": "0.8",
+        "r95_over_error_95": "0.309",
         "absolute_error_m": "3.5",
         "absolute_r95_m": "4",
         "time_s": "63.5",
