@@ -249,7 +249,9 @@ def _stop(trial: Trial, flight: ProcessFlight, companion: ChildProcess) -> Trial
     events, modes = flight.events.take(), [each["mode"] for each in flight.land()["mode_changes"]]
     if code != 0:
         findings.append(f"exit code {code} after SIGTERM")
-    asked_s = _asked_s(events)
+    # the hand-back began then; before arming there is nothing to hand back
+    is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
+    asked_s = _time_of(events, "phase", new="handback") if is_asked else None
     hold_s = 0.0
     if asked_s is not None:
         answered_s = _time_of(events, "answer", outcome="accepted", since_s=asked_s)
@@ -302,12 +304,6 @@ def _time_of(
         if event["kind"] == kind and event["t_s"] >= since_s and is_it:
             return float(event["t_s"])
     return None
-
-
-def _asked_s(events: Sequence[dict[str, Any]]) -> float | None:
-    """Return the time when the hand-back began; before arming there is nothing to hand back."""
-    is_asked = any(e["kind"] == "text" and e["text"].startswith("stopping: ") for e in events)
-    return _time_of(events, "phase", new="handback") if is_asked else None
 
 
 def story_of(events: Sequence[dict[str, Any]]) -> tuple[str, ...]:

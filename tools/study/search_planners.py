@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -42,13 +42,6 @@ MAP_EVERY_S = 2.0
 SWEEPS = 1.0
 """Length of a flight, in sweeps of the lawnmower."""
 EMITTERS = 40
-
-
-class Mover(Protocol):
-    """Choice of where the point flies."""
-
-    def goal(self, place: Point, area: SearchedArea) -> Point:
-        """Return the goal to fly to during this step."""
 
 
 class Planned:
@@ -128,6 +121,10 @@ class StoneSoup:
     @staticmethod
     def _place(vector: Any) -> Point:
         return float(vector[0, 0]), float(vector[1, 0])
+
+
+Mover = Planned | StoneSoup
+"""Choice of where the point flies, with its memory."""
 
 
 def mover_of(name: Name, spacing_m: float, model: DetectionModel) -> Mover:

@@ -348,16 +348,6 @@ def next_place(
 
 
 @kernel
-def write_down(row: Vector, sensor_enu_m: Vector, mean: Vector, covariance: Matrix) -> None:
-    """Fill one row of a record, in place."""
-    row[VEHICLE_EAST : VEHICLE_NORTH + 1] = sensor_enu_m[:2]
-    row[TARGET_EAST : BEARING_OFFSET + 1] = mean[:4]
-    row[VARIANCE_EAST] = covariance[0, 0]
-    row[COVARIANCE] = covariance[0, 1]
-    row[VARIANCE_NORTH] = covariance[1, 1]
-
-
-@kernel
 def walked(
     draws: Matrix,
     picks: Vector,
@@ -398,7 +388,9 @@ def walked(
             turn += 1
             mean, covariance = solved(rows[: step + 1], mean, turn, belief)
             due = next_solution(step + 1)
-        write_down(record[step], sensor, mean, covariance)
+        record[step, :TARGET_EAST], record[step, TARGET_EAST:VARIANCE_EAST] = sensor[:2], mean[:4]
+        record[step, VARIANCE_EAST], record[step, COVARIANCE] = covariance[0, 0], covariance[0, 1]
+        record[step, VARIANCE_NORTH] = covariance[1, 1]
         if steering.planner != FIXED:
             east_m, north_m, latch = next_place(
                 sensor, mean, covariance, picks[step], latch, belief, steering
