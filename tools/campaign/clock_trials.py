@@ -16,9 +16,7 @@ from companion.config.schema import CompanionConfig
 from companion.guidance.commands import SessionParams
 from sim_link.autopilot.incidents import ClockRate, ClockSlip
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
-from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.lockstep import Flight, MemoryJournal
-from sim_link.lab.observer import Observer
 from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, flavour_of, story_lines
 
 RATES = (0.95, 0.988, 1.0, 1.05)
@@ -29,18 +27,6 @@ MOST_SLIPS = 3
 FLIGHT_S, FENCE_M = 180.0, 150.0
 LONGEST_HOLD_S, WORST_ERROR_M = 6.0, 1.5
 FALSE_ALARMS = ("autopilot restarted", "control yielded", "second source", "control lost")
-
-
-class Reach(Observer):
-    """Largest true distance of the vehicle, east or north."""
-
-    def __init__(self) -> None:
-        self.farthest_m = 0.0
-
-    def stepped(self, vehicle: SimVehicle, now_s: float) -> None:  # noqa: ARG002  the protocol
-        """Update it with the vehicle's position."""
-        east_m, north_m, _ = vehicle.body.position_enu_m
-        self.farthest_m = max(self.farthest_m, abs(east_m), abs(north_m))
 
 
 def holds_s(texts: Sequence[tuple[float, str]], ended_s: float) -> list[float]:
@@ -68,24 +54,25 @@ def incidents_of(seed: int) -> tuple[ClockRate | ClockSlip, ...]:
 
 def fly(trial: Trial) -> TrialOutcome:
     """Fly the canonical search of a trial, and judge it."""
-    incidents, notes, reach = incidents_of(trial.seed), MemoryJournal(), Reach()
+    incidents, notes, farthest_m = incidents_of(trial.seed), MemoryJournal(), 0.0
     scenario = Scenario(
         autopilot=AutopilotParams(flavour=flavour_of(trial.seed)), incidents=incidents
     )
     config = CompanionConfig(mission=SessionParams(engage="auto"))
     flight = Flight(config, scenario, trial.seed, notes)
-    flight.observers.append(reach)
     while not notes.results and flight.now_s < FLIGHT_S:
         flight.step()
+        east_m, north_m, _ = flight.sim.vehicle.body.position_enu_m
+        farthest_m = max(farthest_m, abs(east_m), abs(north_m))
     error_m = math.inf
     if notes.results:
         place_m = notes.results[0][1].estimate.position_enu_m
         error_m = math.dist(place_m, scenario.emitter.position_enu_m)
     hold_s = max(holds_s(notes.texts, flight.now_s), default=0.0)
-    most = {"clock_hold_s": hold_s, "clock_farthest_m": reach.farthest_m}
+    most = {"clock_hold_s": hold_s, "clock_farthest_m": farthest_m}
     return TrialOutcome(
         trial,
-        tuple(faults_of(error_m, hold_s, reach.farthest_m, [text for _, text in notes.texts])),
+        tuple(faults_of(error_m, hold_s, farthest_m, [text for _, text in notes.texts])),
         sums={"clock_flights": 1.0},
         most=most | ({"clock_error_m": error_m} if math.isfinite(error_m) else {}),
         story=(str(incidents), *story_lines(notes.texts)),

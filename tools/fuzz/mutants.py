@@ -127,43 +127,35 @@ def _is_skipped(node: ast.AST, depth: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Site:
+    """Place of a node in its tree."""
+
     node: ast.AST
-    steps: tuple[tuple[str, int | None], ...]
-    """Fields and indices from the module to the node."""
+    parent: ast.AST
+    field: str
+    index: int | None
     place: str
 
+    def put(self, node: ast.AST) -> None:
+        """Put another node there."""
+        if self.index is None:
+            setattr(self.parent, self.field, node)
+        else:
+            getattr(self.parent, self.field)[self.index] = node
 
-def _sites(
-    node: ast.AST, steps: tuple[tuple[str, int | None], ...] = (), place: str = ""
-) -> Iterator[_Site]:
-    if _is_skipped(node, len(steps) - 1):
-        return
-    if isinstance(node, ast.FunctionDef | ast.ClassDef):
-        place = f"{place}.{node.name}" if place else node.name
-    if steps:
-        yield _Site(node, steps, place or "module")
-    for name, value in ast.iter_fields(node):
-        if name in SKIPPED_FIELDS or (name == "keywords" and isinstance(node, ast.ClassDef)):
+
+def _sites(parent: ast.AST, place: str = "", depth: int = 0) -> Iterator[_Site]:
+    for name, value in ast.iter_fields(parent):
+        if name in SKIPPED_FIELDS or (name == "keywords" and isinstance(parent, ast.ClassDef)):
             continue
-        for index, child in enumerate(value if isinstance(value, list) else [value]):
-            if isinstance(child, ast.AST):
-                at = index if isinstance(value, list) else None
-                yield from _sites(child, (*steps, (name, at)), place)
-
-
-def _replaced(tree: ast.Module, site: _Site, new: ast.AST | None) -> ast.Module:
-    changed = copy.deepcopy(tree)
-    parent: object = changed
-    for name, index in site.steps[:-1]:
-        parent = getattr(parent, name)
-        parent = parent if index is None else parent[index]  # type: ignore[index]
-    name, index = site.steps[-1]
-    put = ast.Pass() if new is None else copy.deepcopy(new)
-    if index is None:
-        setattr(parent, name, put)
-    else:
-        getattr(parent, name)[index] = put
-    return ast.fix_missing_locations(changed)
+        for index, node in enumerate(value if isinstance(value, list) else [value]):
+            if not isinstance(node, ast.AST) or _is_skipped(node, depth):
+                continue
+            own = place
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                own = f"{place}.{node.name}" if place else node.name
+            at = index if isinstance(value, list) else None
+            yield _Site(node, parent, name, at, own or "module")
+            yield from _sites(node, own, depth + 1)
 
 
 def _text(node: ast.AST | None) -> str:
@@ -180,10 +172,11 @@ def mutants_of(path: Path, root: Path) -> Iterator[tuple[Mutant, ast.Module]]:
     """
     tree = ast.parse(path.read_text())
     seen, names = {ast.unparse(tree)}, Counter[tuple[str, str, str]]()
-    for site in _sites(tree):
+    for site in list(_sites(tree)):
         for new in changes_of(site.node):
-            changed = _replaced(tree, site, new)
-            source = ast.unparse(changed)
+            site.put(ast.Pass() if new is None else new)
+            source, changed = ast.unparse(tree), copy.deepcopy(tree)
+            site.put(site.node)
             if source in seen:
                 continue
             seen.add(source)
@@ -191,4 +184,4 @@ def mutants_of(path: Path, root: Path) -> Iterator[tuple[Mutant, ast.Module]]:
             names[name] += 1
             line = getattr(site.node, "lineno", 0)
             relative = str(path.relative_to(root))
-            yield Mutant(relative, line, *name, names[name]), changed
+            yield Mutant(relative, line, *name, names[name]), ast.fix_missing_locations(changed)
