@@ -13,7 +13,6 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,23 +39,6 @@ NORMALS = np.random.default_rng(0).standard_normal((4000, 2))
 
 SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of a flight after which error and bound are compared."""
-
-
-class Priors(NamedTuple):
-    """Standard deviations of parameters unknown before a flight."""
-
-    height_m: float
-    """Of the target's height."""
-    turn_rad: float
-    """Of the offset of bearings."""
-    offset_m: float
-    """Of the offset of ranges."""
-
-    @classmethod
-    def of(cls, configured: FilterParams) -> Priors:
-        """Return the priors that an estimator is configured with."""
-        turn_rad = math.radians(configured.bearing_offset_sigma_deg)
-        return cls(configured.target_height_sigma_m, turn_rad, configured.range_offset_sigma_m)
 
 
 def flown(task: FieldFlight) -> tuple[Matrix, Vector]:
@@ -130,8 +112,10 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
     return np.array(partials), np.array(sigmas), np.array(about)
 
 
-def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool) -> Matrix:
+def bound_m2(way: Matrix, scenario: Scenario, priors: FilterParams, *, reflects: bool) -> Matrix:
     """Return the bound on the position at the end of a way, in the vehicle's frame, (2, 2).
+
+    Priors of the height, of the bearing and of the range offset are those of the estimator.
 
     Raises `LinAlgError` if the way does not determine the position.
     """
@@ -160,8 +144,9 @@ def bound_m2(way: Matrix, scenario: Scenario, priors: Priors, *, reflects: bool)
         apart = np.linalg.norm(about[:, None, 1:4] - about[None, :, 1:4], axis=2)
         is_alike = about[:, None, 4] == about[None, :, 4]
         noise += is_alike * np.outer(size, size) * np.exp(-apart / max(channel.correlation_m, 1e-3))
-    height_m2 = navigation.height_sigma_m**2 + priors.height_m**2
-    least_m2, least_rad2 = max(priors.offset_m, 1e-3) ** 2, max(priors.turn_rad, 1e-3) ** 2
+    height_m2 = navigation.height_sigma_m**2 + priors.target_height_sigma_m**2
+    least_m2 = max(priors.range_offset_sigma_m, 1e-3) ** 2
+    least_rad2 = max(math.radians(priors.bearing_offset_sigma_deg), 1e-3) ** 2
     prior = np.diag([0.0, 0.0, 1.0 / height_m2, 1.0 / least_rad2, 1.0 / least_m2])
     information = partials.T @ np.linalg.solve(noise, partials) + prior
     return np.asarray(np.linalg.inv(information)[:2, :2])
@@ -175,7 +160,7 @@ def median_m(covariance_m2: Matrix) -> float:
 def compared(task: FieldFlight) -> Matrix:
     """Fly; return error and bounds without and with reflections after each share, (s, 3), m."""
     way, errors_m = flown(task)
-    found, priors = np.full((len(SHARES), 3), math.nan), Priors.of(task.config.tracking.filter)
+    found, priors = np.full((len(SHARES), 3), math.nan), task.config.tracking.filter
     for index, share in enumerate(SHARES):
         count = int(share * len(way))
         if count:

@@ -12,12 +12,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from companion.estimation.filters.target_filter import FilterParams
 from companion.kernel import Matrix
 from sim_link.autopilot.estimator import NavigationParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams, FieldChannelParams
 from sim_link.world.radio_channel import AntennaModelParams
-from tools.study.field_bound import Priors, bound_m2, median_m
+from tools.study.field_bound import bound_m2, median_m
 
 VIEWS, RADIUS_M, HEIGHT_M = 36, 30.0, 40.0
 SLANT_M = math.hypot(RADIUS_M, HEIGHT_M)
@@ -34,7 +35,9 @@ CHANNEL = FieldChannelParams(
 RANGES, BEARINGS = 0.5, math.radians(3.0) * SLANT_M
 """What one view tells, of a place along or across its line; along the ground a range tells less."""
 
-PRIORS = Priors(height_m=2.0, turn_rad=math.radians(5.0), offset_m=1.0)
+PRIORS = FilterParams(
+    target_height_sigma_m=2.0, bearing_offset_sigma_deg=5.0, range_offset_sigma_m=1.0
+)
 
 
 def circle() -> Matrix:
