@@ -59,7 +59,7 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
             altitude_offset_m=0.0,
             yaw_enu_rad=0.0,
             sigmas=tracker.latest_sigmas,
-            joint_covariance=tracker.hypotheses[0].state.covariance[:4, :4],
+            joint_covariance=tracker.joint_covariance((0.0, 0.0, HEIGHT_M)),
         )
         memory = planner.plan(request, memory).memory
         planner.plan(replace(request, vehicle_enu_m=(FAR_M, 0.0)), None)

@@ -53,6 +53,7 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.antenna_check import AntennaCheck
 from companion.estimation.window.optimizer import SHARED_PASSES, WindowOptimizer
 from companion.estimation.window.shared_errors import NO_ERRORS, shared_sigmas
+from companion.kernel import Matrix
 from companion.search.searched_area import SearchPrior
 
 
@@ -225,8 +226,7 @@ class TargetTracker:
             self.hypotheses, self._filter, measurement, sensor_enu_m, *inflations
         )
         gate = bank.gate if is_proven else bank.gate.unarmed()
-        update = integrity.update
-        if not bank.reports or update(at_s, bank.reports[0], gate, gate_inflation):
+        if not bank.reports or integrity.update(at_s, bank.reports[0], gate, gate_inflation):
             return self._restart(measurement, sensor_enu_m)
         passed = measurement if gate == OPEN else gate.passed(measurement)
         if passed is not measurement:
@@ -307,8 +307,7 @@ class TargetTracker:
         """Forget the target but not the emitter, because the frame may have moved."""
         self._forget_place()
         self._screen.clear()
-        self.last_accepted_s = None
-        self.raised_m = 0.0
+        self.last_accepted_s, self.raised_m = None, 0.0
         self.own, self._best_own_m = None, math.inf
         self.prior = None
 
@@ -434,6 +433,13 @@ class TargetTracker:
         if not self._optimizer.latest or not self.hypotheses:
             return None
         return self._optimizer.latest_sigmas(self.hypotheses[0].state.mean, self._filter_inflation)
+
+    def joint_covariance(self, sensor_enu_m: PositionEnu) -> Matrix | None:
+        """Return `WindowOptimizer.joint_covariance` of the best hypothesis; None: there is none."""
+        if not self.hypotheses:
+            return None
+        sensor_enu_m = (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)
+        return self._optimizer.joint_covariance(self.hypotheses[0].state, sensor_enu_m)
 
     @property
     def health(self) -> TrackerHealth:

@@ -140,7 +140,7 @@ class FlightPlan:
         estimate: TargetEstimate | None,
     ) -> PlanRequest:
         fence, tracker = self._guard.limits.fence, self._emitters.current
-        hypotheses, home, yaw = tracker.hypotheses, vehicle.home_enu_m, vehicle.track.latest_yaw
+        home, yaw = vehicle.home_enu_m, vehicle.track.latest_yaw
         target_up_m = tracker.target_height_m if estimate is None else estimate.height_m
         return PlanRequest(
             vehicle_enu_m=place_enu_m[:2],
@@ -160,7 +160,7 @@ class FlightPlan:
             range_left_m=self._range_left_m(vehicle),
             outlook=self._outlook(now_s, vehicle, estimate),
             sigmas=tracker.latest_sigmas,
-            joint_covariance=hypotheses[0].state.covariance[:4, :4] if hypotheses else None,
+            joint_covariance=tracker.joint_covariance(place_enu_m),
         )
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:

@@ -17,7 +17,8 @@ filter, without which the bearing from a position above the estimate counts as p
 the criterion is the linearised one.
 
 An antenna array is that of a level vehicle that keeps its heading; outside the field of view there
-is no direction.
+is no direction. Where received power replaces ranges, it counts as a range from the estimate's
+distance.
 """
 
 from __future__ import annotations
@@ -312,14 +313,17 @@ class FimPlanner:
         vehicle, target = request.vehicle_enu_m, estimate.position_enu_m
         away_m = (target[0] - vehicle[0], target[1] - vehicle[1])
         poses, view, sigmas = self._poses_m, ALL_AROUND, self._sigmas
+        reported = request.sigmas or (*sigmas, math.inf)
         if self._antenna is not None:
             yaw_rad = request.yaw_enu_rad
             ahead_rad = math.atan2(away_m[1], away_m[0]) if yaw_rad is None else yaw_rad
             axes, view = turned(self._antenna, ahead_rad)
             poses = np.vstack([poses, np.repeat(axes[:, None], poses.shape[1], axis=1)])
-            sigmas = sigmas if request.sigmas is None else request.sigmas[:2]
+            sigmas = reported[:2]
         elif request.baseline_m > 0.0:
             sigmas = (sigmas[0], math.inf)
+        if reported[0] == math.inf > reported[2]:  # a power alone is the logarithm of the range
+            sigmas = (reported[2] * math.hypot(*away_m, request.height_m), sigmas[1])
         across = math.inf if self._antenna is not None and self._antenna.rows == 1 else sigmas[1]
         return best_candidate(
             np.array(self._covariance(request, estimate)),  # one kind of array, one variant

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.domain import PositionEnu
 from companion.estimation.belief import as_evidence
 from companion.estimation.filters.target_filter import (
     FilterParams,
@@ -23,7 +24,14 @@ from companion.estimation.filters.target_filter import (
 )
 from companion.estimation.hypotheses import Hypothesis, shift_rows
 from companion.estimation.integrity import CONTRADICTION_COUNT
-from companion.estimation.measurement_model import BEARING, DB_PER_NEPER, POWER, RANGE
+from companion.estimation.measurement_model import (
+    BEARING,
+    DB_PER_NEPER,
+    POWER,
+    RANGE,
+    RANGE_OFFSET,
+    target_height_m,
+)
 from companion.estimation.stepwise import Steps, Stepwise
 from companion.estimation.window.antenna_check import rows_as
 from companion.estimation.window.map_kernels import (
@@ -359,6 +367,28 @@ class WindowOptimizer:
         if index >= 0:
             share = inflated[POWER] / (DB_PER_NEPER * float(mean[index + 1]))
         return range_m, inflated[BEARING], share
+
+    def joint_covariance(self, state: FilterState, sensor_enu_m: PositionEnu) -> Matrix:
+        """Return the covariance (4, 4) of [east, north, range offset, bearing offset], m and rad.
+
+        Where power replaces ranges, the power at 1 m is an offset of ranges, too: of those from the
+        antenna at this position.
+        """
+        order, scales, model = list(range(4)), np.ones(4), self._filter_params.model
+        if self._has_power_alone:
+            index, (east, north) = model.power_index, state.mean[:2].tolist()
+            slant_m = math.dist(sensor_enu_m, (east, north, target_height_m(state.mean, model)))
+            order[RANGE_OFFSET] = index
+            scales[RANGE_OFFSET] = -slant_m / (DB_PER_NEPER * float(state.mean[index + 1]))
+        return np.asarray(scales[:, None] * state.covariance[np.ix_(order, order)] * scales)
+
+    @property
+    def _has_power_alone(self) -> bool:
+        """True if the latest measurements have a power and no range."""
+        if self._filter_params.model.power_index < 0 or not self.latest:
+            return False
+        latest = np.array(self.latest)
+        return has_any(latest, POWER) and not has_any(latest, RANGE)
 
     def observability(self, mean: Vector) -> Observability | None:
         """Return the observability of a target at `mean`; None before the first measurement."""

@@ -131,6 +131,23 @@ def test_planners_know_a_power_as_a_share_of_the_slant_range() -> None:
     assert share == pytest.approx(POWER_TOTAL_SIGMA_DB * math.log(10.0) / (10.0 * EXPONENT))
 
 
+@pytest.mark.parametrize("with_ranges", [False, True])
+def test_power_at_a_metre_is_an_offset_of_ranges_where_there_are_none(with_ranges: bool) -> None:
+    tracker = TargetTracker(TrackerParams(filter=PARAMS))
+    flown(tracker, 2, with_ranges=with_ranges)
+    state, model = tracker.hypotheses[0].state, PARAMS.model
+    joint = tracker.joint_covariance((200.0, 0.0, HIGH_M))
+    assert joint is not None
+    place = (*state.mean[:2], state.mean[model.height_index])
+    metres_per_db = math.dist((200.0, 0.0, HIGH_M), place) * math.log(10.0) / 10.0
+    metres_per_db /= float(state.mean[model.power_index + 1])
+    index, scale = (2, 1.0) if with_ranges else (model.power_index, -metres_per_db)
+    P = state.covariance
+    assert joint[2, 2] == pytest.approx(scale**2 * P[index, index])
+    assert joint[2, [0, 1, 3]] == pytest.approx(scale * P[index, [0, 1, 3]])
+    assert joint[:2, :2] == pytest.approx(P[:2, :2])
+
+
 def test_a_power_that_is_not_configured_changes_nothing_beside_ranges() -> None:
     with_power, without = TargetTracker(TrackerParams()), TargetTracker(TrackerParams())
     flown(with_power, 1, with_ranges=True)

@@ -153,6 +153,20 @@ def test_without_bearings_only_ranges_count() -> None:
     assert north == pytest.approx(0.0)
 
 
+def test_a_power_alone_is_a_range_whose_noise_grows_with_the_distance() -> None:
+    joint, is_other = np.array(PRIOR), False
+    joint[:2, :2], joint[0, 2], joint[2, 0] = [[900.0, 300.0], [300.0, 400.0]], 60.0, 60.0
+    for target in ((20.0, 0.0), (0.0, -40.0), (90.0, 60.0)):
+        request = PlanRequest(
+            (0.0, 0.0), _target(target), baseline_m=20.0, height_m=20.0, joint_covariance=joint
+        )
+        by_power = replace(request, sigmas=(math.inf, math.inf, 0.3))
+        plan, sigma_m = FimPlanner(FimParams()).plan(by_power, None), 0.3 * math.hypot(*target, 20)
+        assert plan == FimPlanner(FimParams(), sigma_m).plan(request, None)
+        is_other = is_other or plan != FimPlanner(FimParams()).plan(request, None)
+    assert is_other
+
+
 def test_with_ranges_alone_and_no_worst_direction_it_stalls() -> None:
     """One range tells one direction; the other one's variance stays, wherever it is taken."""
     planner = FimPlanner(FimParams(near_target_terms=False))
