@@ -220,7 +220,7 @@ class IdentityCourse:
                 return SignVerdict.GOES_ON
             return self._note_return(now_s, is_cautious=is_cautious)
         self._follow_other(sign, now_s)
-        if self._is_left(now_s):
+        if self._run >= CONFIRM_STAMPS and now_s - self.other_since_s >= CONFIRM_S:
             return self._judge_other(sign, is_of_clock, now_s)
         is_restart = late_s > LATE_S and self.is_young(sign, now_s)
         return SignVerdict.GOES_ON if is_of_clock or is_restart else SignVerdict.WITHHELD
@@ -315,10 +315,6 @@ class IdentityCourse:
             away_m = math.dist(other.place_ned_m, self.main.place_ned_m)
             self.difference = f"places {away_m:.0f} m apart"
         return SignVerdict.TWO
-
-    def _is_left(self, now_s: float) -> bool:
-        is_often = self._run >= CONFIRM_STAMPS
-        return is_often and now_s - self.other_since_s >= CONFIRM_S
 
     def _judge_other(self, sign: Sign, is_of_clock: bool, now_s: float) -> SignVerdict:
         """Classify the departure from the old course: slip, restart, jump, or another vehicle."""

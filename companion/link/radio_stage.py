@@ -230,8 +230,10 @@ class RadioStage:
     ) -> RangingMeasurement | None:
         range_m, bearing_rad = self._range_m(reading), self._bearing_rad(reading)
         elevation_rad, power_dbm = self._elevation_rad(reading), self._power_dbm(reading)
-        placed = (range_m, bearing_rad, elevation_rad)
-        if placed == (None,) * 3 and (power_dbm is None or _has_place(reading)):
+        said = (reading.range_m, reading.azimuth_rad, reading.elevation_rad)
+        if (range_m, bearing_rad, elevation_rad) == (None,) * 3 and (
+            power_dbm is None or said != (None,) * 3
+        ):  # a power beside a range or an angle that cannot be used is not used alone
             return None
         settings, device_s = self.setup.settings, reading.device_time_s
         factor = self._sigma_factor(reading.quality)
@@ -337,15 +339,6 @@ class RadioStage:
             return 1.0
         reached = [factor for least, factor in steps if quality >= least]
         return reached[-1] if reached else steps[0][1]
-
-
-def _has_place(reading: RadioReading) -> bool:
-    """Return True if a reading has a range or an angle, usable or not.
-
-    A power beside an unusable one is not used alone.
-    """
-    placed = (reading.range_m, reading.azimuth_rad, reading.elevation_rad)
-    return placed != (None,) * 3
 
 
 def _times(factor: float, sigma: float | None) -> float | None:

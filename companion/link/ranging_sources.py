@@ -121,8 +121,10 @@ class MavlinkRanging:
 
     def measure(self, message: RangingMessage, now_s: float) -> list[RangingMeasurement]:
         """Return the measurement in a decoded message."""
-        if self._slips != self._vehicle_clock.slips:
-            self._follow_slip()
+        if self._slips != self._vehicle_clock.slips:  # senders on its clock start again
+            self._slips = self._vehicle_clock.slips
+            for each in tuple(self._on_vehicle_clock):
+                self._forget(each)
         sender = (message.get_srcSystem(), message.get_srcComponent())
         clock = self._clocks.get(sender)
         if clock is None:
@@ -152,12 +154,6 @@ class MavlinkRanging:
         """Return warnings about senders whose measurements were dropped."""
         due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.left_out]
         return [text for text in due if text is not None]
-
-    def _follow_slip(self) -> None:
-        """Resynchronise senders on the autopilot's clock after it slipped."""
-        self._slips = self._vehicle_clock.slips
-        for sender in tuple(self._on_vehicle_clock):
-            self._forget(sender)
 
     def _forget(self, sender: tuple[int, int]) -> None:
         del self._clocks[sender], self._rates[sender]
