@@ -220,7 +220,15 @@ SUFFIX = ".yaml"
 
 def studies_of(name: str, folder: Path) -> list[Study]:
     """Return the studies of a name or file, itself or those it collects; raises a `ConfigError`."""
-    return _collected(study_path(name, folder), folder, ())
+    path = study_path(name, folder)
+    study = load_study(path)
+    try:
+        found = [load_study(study_path(each, folder)) for each in study.studies] or [study]
+    except ConfigError as error:
+        raise ConfigError(f"{path}: $.studies: {error}") from None
+    if any(each.studies for each in found):
+        raise ConfigError(f"{path}: $.studies: the collection contains itself, or another one")
+    return found
 
 
 def study_path(name: str, folder: Path) -> Path:
@@ -247,19 +255,3 @@ def load_study(path: Path) -> Study:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return study
-
-
-def _collected(path: Path, folder: Path, above: tuple[Path, ...]) -> list[Study]:
-    if path in above:
-        raise ConfigError(f"{path}: $.studies: the collection contains itself")
-    study = load_study(path)
-    if not study.studies:
-        return [study]
-    found: list[Study] = []
-    for name in study.studies:
-        try:
-            inner = study_path(name, folder)
-        except ConfigError as error:
-            raise ConfigError(f"{path}: $.studies: {error}") from None
-        found += _collected(inner, folder, (*above, path))
-    return found
