@@ -48,31 +48,25 @@ WHITE_COUNT = 4.0
 """Weight of the prior of the white noise, in measurements."""
 
 
-_NORMAL = np.polynomial.hermite_e.hermegauss(32)
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
 """Points and weights of a mean over a standard normal, after Gauss and Hermite."""
-_EXPONENTIAL = np.polynomial.laguerre.laggauss(32)
-"""The same over an exponential distribution of unit deviation, after Gauss and Laguerre."""
 
 
 @functools.lru_cache(maxsize=64)
-def clipped_deviation(
-    deviation: float, k_long: float, k_short: float, *, is_excess: bool = False
-) -> float:
+def clipped_deviation(deviation: float, k_long: float, k_short: float) -> float:
     """Return the standard deviation of a field of residuals, in sigma, in the influences.
 
-    A loss that clips residuals clips their field as well: under a field f and white noise e it is
-    the deviation of the expected influence E[psi(f + e) | f]. With L(x) = x Phi(x) + phi(x), the
-    mean of max(x - e, 0), that expectation is f + L(-k_short - f) - L(f - k_long). The field is
-    normal, or with `is_excess` exponential, as the paper's reflections are: never too short.
+    A loss that clips residuals clips their field as well: under a normal field f and white noise e
+    it is the deviation of the expected influence E[psi(f + e) | f]. With L(x) = x Phi(x) + phi(x),
+    the mean of max(x - e, 0), that expectation is f + L(-k_short - f) - L(f - k_long).
     """
-    nodes, weights = _EXPONENTIAL if is_excess else _NORMAL
-    field = deviation * nodes
+    field = deviation * _NODES
     mean = field.copy()
     if math.isfinite(k_short):
         mean += [_mean_excess(x) for x in (-k_short - field).tolist()]
     if math.isfinite(k_long):
         mean -= [_mean_excess(x) for x in (field - k_long).tolist()]
-    return float(np.sqrt(np.cov(mean, ddof=0, aweights=weights)))
+    return float(np.sqrt(np.cov(mean, ddof=0, aweights=_WEIGHTS)))
 
 
 def _mean_excess(x: float) -> float:

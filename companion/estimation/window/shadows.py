@@ -131,8 +131,7 @@ def spatial_noises(
         if ratio == 0.0 and scores.correlations[m] == 0.0:
             continue
         psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)
-        is_excess = m == RANGE and params.step_sigma_m < params.place_range_sigma_m
-        deviation = clipped_deviation(ratio, *thresholds[m], is_excess=is_excess)
+        deviation = clipped_deviation(ratio, *thresholds[m])
         if ratio == 0.0:
             deviation = float(np.sqrt(np.nanmean(psi**2)))
         length_m = params.range_length_m if m == RANGE else params.place_length_m
