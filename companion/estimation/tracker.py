@@ -38,9 +38,8 @@ from companion.estimation.innovations import (
     TrackerHealth,
     update_hypotheses,
 )
-from companion.estimation.integrity import TrackIntegrity
+from companion.estimation.integrity import ReportedSigmas, TrackIntegrity
 from companion.estimation.measurement_model import AZIMUTH, rows_of, target_height_m
-from companion.estimation.scatter import ReportedSigmas
 from companion.estimation.screen import MeasurementScreen, Objection, RejectReason
 from companion.estimation.stepwise import Steps, Stepwise, finish, passes, while_same
 from companion.estimation.target_estimate import (

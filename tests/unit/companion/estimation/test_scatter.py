@@ -11,7 +11,7 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.scatter import MIN_COUNT, ReportedSigmas, Scatter
+from companion.estimation.integrity import FEWEST_DIFFERENCES, ReportedSigmas, Scatter
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from tests.unit.companion.estimation.tracker_helpers import (
@@ -50,7 +50,7 @@ def test_a_direction_through_south_is_no_scatter() -> None:
 
 def test_few_values_gaps_and_repetitions_show_nothing() -> None:
     few, gaps, repeated = Scatter(), Scatter(), Scatter()
-    for step in range(MIN_COUNT + 1):
+    for step in range(FEWEST_DIFFERENCES + 1):
         few.add(0.1 * step, float(step % 2))
     for step in range(99):
         gaps.add(1.5 * step, float(step % 2))
