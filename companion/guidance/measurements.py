@@ -69,7 +69,8 @@ class FusionQueue:
         """Queues by emitter, none of them empty, the next in turn first."""
         self._begun: dict[int, Steps[FusionReport]] = {}
         """Remaining steps for the first measurement of a queue."""
-        self._left = WAKE_ROWS
+        self.left = WAKE_ROWS
+        """Measurements that the steps of this wake-up may still process."""
 
     def __len__(self) -> int:
         """Return the number of measurements that are not fused yet."""
@@ -94,23 +95,19 @@ class FusionQueue:
         if not self.by_emitter[longest]:
             del self.by_emitter[longest]
 
-    def renew(self) -> None:
-        """Allow the steps of another wake-up."""
-        self._left = WAKE_ROWS
-
     def advance(self, first_id: int | None) -> list[FusionReport]:
         """Make the steps of this wake-up; return reports of finished measurements, oldest first."""
         reports: list[FusionReport] = []
-        while self._left > 0 and self.by_emitter:
+        while self.left > 0 and self.by_emitter:
             key = first_id if first_id in self.by_emitter else next(iter(self.by_emitter))
             assert key is not None
             steps = self._begun.pop(key, None)
             if steps is None:
                 steps = self._begin(self.by_emitter[key][0])
-                self._left -= BEGIN_ROWS
+                self.left -= BEGIN_ROWS
             is_over = True
             try:
-                self._left -= next(steps)
+                self.left -= next(steps)
                 self._begun[key] = steps
                 is_over = False
             except StopIteration as end:
@@ -320,7 +317,7 @@ class Measuring:
     def go_on(self, now_s: float) -> None:
         """Fuse within the steps of another wake-up."""
         self._ticks_behind = 0
-        self._queue.renew()
+        self._queue.left = WAKE_ROWS
         self.fuse_due(now_s)
 
     def tick(self, now_s: float) -> None:
@@ -328,11 +325,11 @@ class Measuring:
         if self._listener.waiting:
             self.fuse_due(now_s, has_time=False)
         if not self._queue.by_emitter:
-            self._queue.renew()
+            self._queue.left = WAKE_ROWS
             return
         self._ticks_behind += 1
         if self._ticks_behind > 1:
-            self._queue.renew()
+            self._queue.left = WAKE_ROWS
             self.fuse_due(now_s)
 
     def _contain(self, error: Exception, now_s: float) -> None:

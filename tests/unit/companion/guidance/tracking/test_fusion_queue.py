@@ -38,7 +38,7 @@ class Worker:
 
     def wake(self, first_id: int | None = None) -> int:
         """Go on; return how many measurements were finished."""
-        self.queue.renew()
+        self.queue.left = WAKE_ROWS
         return len(self.queue.advance(first_id))
 
 
