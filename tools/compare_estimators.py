@@ -90,28 +90,25 @@ def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
 
     truth, params = rows[0].truth_enu_m, walk_figures.preset_of(path)
     assert truth is not None
-    found: list[Score] = []
-
-    def add(
-        name: str, began_s: float, result: tuple[float, float, tuple[bool, ...], float]
-    ) -> None:
-        spent_ms = 1000.0 * (time.process_time() - began_s) / len(rows)
-        about = (walk_figures.name_of_preset(path), path.stem, rows[0].target_id, len(rows))
-        found.append(Score(name, *about, *result, spent_ms))
-
-    began_s = time.process_time()
-    final = walk_figures.replayed(path.stem, rows, params).final
-    if final is None or final.estimate is None:
-        add(OURS, began_s, (NOTHING_M, NOTHING_M, (True,) * len(LEVELS), NOTHING_M))
-    else:
-        stated = final.estimate
-        samples = samples_of(stated, np.random.default_rng(seed))
-        add(OURS, began_s, score_of(samples, truth, stated.r95_m, stated.position_enu_m))
+    about = (walk_figures.name_of_preset(path), path.stem, rows[0].target_id, len(rows))
     batch = Batch.of(rows, params.filter)
-    for name, estimate in RIVALS.items():
+
+    def result_of(name: str) -> tuple[float, float, tuple[bool, ...], float]:
+        rng = np.random.default_rng(seed)
+        if name != OURS:
+            return score_of(RIVALS[name](batch, rng), truth, None, None)
+        final = walk_figures.replayed(path.stem, rows, params).final
+        if final is None or final.estimate is None:
+            return NOTHING_M, NOTHING_M, (True,) * len(LEVELS), NOTHING_M
+        stated = final.estimate
+        return score_of(samples_of(stated, rng), truth, stated.r95_m, stated.position_enu_m)
+
+    found: list[Score] = []
+    for name in (OURS, *RIVALS):
         began_s = time.process_time()
-        samples = estimate(batch, np.random.default_rng(seed))
-        add(name, began_s, score_of(samples, truth, None, None))
+        result = result_of(name)
+        spent_ms = 1000.0 * (time.process_time() - began_s) / len(rows)
+        found.append(Score(name, *about, *result, spent_ms))
     return found
 
 
