@@ -124,7 +124,7 @@ class Emulator(ABC):
     epoch_s: ClassVar[float] = 0.0
     """Epoch of its clock; 0 is power-on."""
     banner: ClassVar[bytes] = b""
-    """What it prints at power-on."""
+    """Text at power-on."""
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         self._clock_s = clock_s
