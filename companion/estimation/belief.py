@@ -24,18 +24,15 @@ from companion.estimation.window.map_kernels import OlderEvidence
 from companion.kernel import Matrix
 
 RESTORED_VARIANCE_FACTOR = 2.0
-"""Factor on every variance of a restored belief: standard deviations grow by 1.4."""
-DRIFT_M_PER_SQRT_S = 0.1
-"""Random walk of a position without measurements, per axis: 1 m after 100 s."""
+"""Factor on every variance of a restored belief: standard deviations grow by 1.4.
+
+Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
+"""
 MAX_PLACES = 32
-"""Most hypotheses of a checkpoint; a tracker begins with 24 (`RING_SIZE`)."""
+"""Most hypotheses of a checkpoint; a tracker begins with 24, on the ring of a first range."""
 MAX_COORDINATE_M = 1e5
 """Largest coordinate in the local frame that is accepted from a file, metres: 100 km, far beyond
 any flight."""
-MAX_VARIANCE = 1e8
-"""Largest variance that is accepted from a file, m^2 (a sigma of 10 km) or rad^2."""
-ASYMMETRY = 1e-6
-"""Largest relative asymmetry of a covariance; rounding leaves less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +101,8 @@ def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses of a belief of this age, with inflated covariances."""
-    walk = max(params.process_noise_m_per_sqrt_s, DRIFT_M_PER_SQRT_S)
+    drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, as far as a local frame drifts meanwhile
+    walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
     for place in belief.places:
         P = RESTORED_VARIANCE_FACTOR * np.array(place.covariance)
@@ -145,9 +143,10 @@ def _problem(place: StoredHypothesis, size: int) -> str | None:
         return "a place beyond the horizon"
     P = np.array(place.covariance)
     scale = np.sqrt(np.abs(np.diag(P)))
-    if np.abs(P - P.T).max() > ASYMMETRY * float(np.outer(scale, scale).max()):
+    if np.abs(P - P.T).max() > 1e-6 * float(np.outer(scale, scale).max()):  # rounding leaves less
         return "a covariance that is not symmetric"
-    if np.diag(P).max() > MAX_VARIANCE or np.diag(P).min() <= 0.0:
+    largest = 1e8  # m^2, a sigma of 10 km, or rad^2
+    if np.diag(P).max() > largest or np.diag(P).min() <= 0.0:
         return "an impossible variance"
     normal = P / np.outer(scale, scale)
     return None if np.linalg.eigvalsh(normal)[0] > 0.0 else "a covariance that is not positive"

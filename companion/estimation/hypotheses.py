@@ -35,24 +35,7 @@ from companion.kernel import Matrix, Vector
 from companion.search.searched_area import SearchPrior
 
 AMBIGUOUS_PROBABILITY = 0.05
-"""Probability of a second hypothesis from which the estimate is ambiguous."""
-RING_SIZE = 24
-"""Hypotheses on the ring around a first range: one every 15 degrees."""
-RAY_SIZE = 8
-"""Hypotheses along a first bearing: from 3 m out to 184 m with `RAY_GROWTH`."""
-RAY_GROWTH = 1.8
-"""Ratio of the distances of neighbouring hypotheses along a bearing; their radial sigma is 0.35 of
-the distance, so that they overlap."""
-
-POWER_RINGS, POWER_RING_SIZE = (0.33, 1.0, 3.0), 8
-"""Rings about a first power, as shares of the prior distance, and hypotheses on each. A prior of 10
-to 15 dB at an exponent of 2.75 is a factor of 2.3 to 3.5."""
-
-PRUNE_LOG_RATIO = math.log(1e-7)
-"""Log of the probability relative to the best hypothesis below which one is dropped."""
-
-MERGE_DISTANCE2 = 4.0
-"""Squared Mahalanobis distance below which two hypotheses are merged: 2 sigma."""
+"""Probability of a second hypothesis from which the estimate is ambiguous: R95 leaves out 5 %."""
 
 
 class HypothesisParams(Params, frozen=True):
@@ -152,8 +135,9 @@ def _before_and_behind_rad(array: ArrayDirection, second: float) -> list[float]:
 
 def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
     radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
-    across_m = math.pi * ground_m / RING_SIZE
-    directions_rad = [2.0 * math.pi * index / RING_SIZE for index in range(RING_SIZE)]
+    count = 24  # one every 15 degrees, two sigmas apart
+    across_m = math.pi * ground_m / count
+    directions_rad = [2.0 * math.pi * index / count for index in range(count)]
     return [
         (direction_rad, ground_m, _polar_covariance(direction_rad, radial_m, across_m))
         for direction_rad in directions_rad
@@ -171,12 +155,13 @@ def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams)
     """Return the positions about the prior distance, which is known to a factor of three."""
     rise_m = sensor_enu_m[2] - params.target_height_m
     placed: _Placed = []
-    for ratio in POWER_RINGS:
+    count = 8  # on each of three rings, two sigmas apart; a power says less than a range
+    for ratio in (0.33, 1.0, 3.0):  # 10 to 15 dB at an exponent of 2.75 are a factor of 2.3 to 3.5
         slant_m = ratio * distance_by_power_m(power_dbm, params)
         ground_m = math.sqrt(max(slant_m**2 - rise_m**2, 1.0))
-        across_m = math.pi * ground_m / POWER_RING_SIZE
-        for index in range(POWER_RING_SIZE):
-            turn_rad = 2.0 * math.pi * index / POWER_RING_SIZE
+        across_m = math.pi * ground_m / count
+        for index in range(count):
+            turn_rad = 2.0 * math.pi * index / count
             covariance = _polar_covariance(turn_rad, 0.5 * ground_m, across_m)
             placed.append((turn_rad, ground_m, covariance))
     return placed
@@ -188,7 +173,8 @@ def _along_ray(
     sigma_rad = math.radians(
         math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
     )
-    distances_m = [params.nearest_m * RAY_GROWTH**index for index in range(RAY_SIZE)]
+    # eight, from 3 m out to 184 m; with a radial sigma of 0.35 of the distance they overlap
+    distances_m = [params.nearest_m * 1.8**index for index in range(8)]
     return [
         (bearing_rad, far_m, _polar_covariance(bearing_rad, 0.35 * far_m, far_m * sigma_rad))
         for far_m in distances_m
@@ -246,10 +232,12 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
     kept: list[Hypothesis] = []
     for candidate in ordered:
         log_weight = candidate.log_weight - best
-        if log_weight < PRUNE_LOG_RATIO:
+        if log_weight < math.log(1e-7):  # chosen: fewer cost less, but cannot come back
             break
         for index, other in enumerate(kept):
-            if _distance2(candidate.state, other.state) < MERGE_DISTANCE2:
+            if (
+                _distance2(candidate.state, other.state) < 2.0**2
+            ):  # chosen: within 2 sigma it is the same
                 kept[index] = _merged(other, replace(candidate, log_weight=log_weight))
                 break
         else:
@@ -280,10 +268,6 @@ def _distance2(a: FilterState, b: FilterState) -> float:
     return float((nn * e * e - 2.0 * en * e * n + ee * n * n) / (ee * nn - en * en))
 
 
-JUMP_SIGMA_RAD = math.radians(2.0)
-"""Standard deviation of a heading jump that the autopilot reports."""
-
-
 def state_step(params: FilterParams, shift_en_m: Point, turn_rad: float) -> Vector:
     """Return the change of a state (n,) in a jump; `turn_rad` counts counter-clockwise."""
     step = np.zeros(len(params.prior[0]))
@@ -298,7 +282,8 @@ def shift_hypothesis(hypothesis: Hypothesis, step: Vector, sigma_m: float) -> Hy
     mean[BEARING_OFFSET] = wrap_pi(float(mean[BEARING_OFFSET]))
     added_variance = np.where(step == 0.0, 0.0, sigma_m**2)
     if step[BEARING_OFFSET] != 0.0:
-        added_variance[BEARING_OFFSET] = JUMP_SIGMA_RAD**2
+        # chosen: of the reported jump; more forgets the offset, less trusts a compass that jumps
+        added_variance[BEARING_OFFSET] = math.radians(2.0) ** 2
     covariance = state.covariance + np.diag(added_variance)
     return replace(hypothesis, state=FilterState.of(state.time_s, mean, covariance))
 

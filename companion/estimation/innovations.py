@@ -40,19 +40,24 @@ from companion.estimation.filters.target_filter import (
     TargetFilter,
     UpdateReport,
 )
-from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis
 from companion.estimation.measurement_model import AZIMUTH, COSINES, MODALITIES
 from companion.estimation.screen import RejectReason
 from companion.estimation.window.rivals import Observability
-from companion.estimation.window.sandwich import MAX_CORRELATION, SIGNIFICANT_SIGMAS
+from companion.estimation.window.sandwich import (
+    MAX_CORRELATION,
+    MIN_MEASUREMENTS,
+    MIN_SLOPE,
+    SIGNIFICANT_SIGMAS,
+)
 from companion.kernel import Matrix
 
-LIKELY_LOG_RATIO = math.log(0.05)
-"""Log of the probability, relative to the best, from which a hypothesis takes part in the gate."""
 GATE_SIGMAS = 6.0
-"""Recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
+"""Innovation or residual, in sigma, beyond which a short range or a bearing is a gross error:
+recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
 LONG_SIGMAS = 25.0
-"""Reflections occasionally reach 20 of the inflated standard deviations."""
+"""Innovation, in sigma, beyond which a range is too long even for a reflection: those occasionally
+reach 20 of the inflated standard deviations."""
 
 
 class Gate(NamedTuple):
@@ -168,7 +173,8 @@ def update_hypotheses(
         least_m2, prior = hypothesis.least_covariance_m2, hypothesis.log_prior
         survivors.append(Hypothesis(log_weight, report.state, least_m2, prior))
         reports.append(report)
-    least = max(before, default=0.0) + LIKELY_LOG_RATIO
+    # any that would make the estimate ambiguous takes part in the gate
+    least = max(before, default=0.0) + math.log(AMBIGUOUS_PROBABILITY)
     judged = [
         Gate.of(report, gate_inflation, target_filter.params.model.antenna)
         for log_weight, report in zip(before, reports, strict=True)
@@ -197,14 +203,14 @@ NOISE_FORGETTING = 1.0 - 1.0 / 300.0
 """Forgetting factor of the noise monitor: a memory of 300 measurements."""
 PRIOR_COUNT = 8.0
 """Weight of the monitor's prior, in measurements."""
-MIN_PAIRS = 12.0
-"""Fewest pairs of neighbours for an estimate of correlation."""
 MAX_INFLATION = 400.0
-"""Upper limit of the inflation: 20 times the thermal sigma."""
+"""Upper limit of the inflation of a variance: 20 times the thermal sigma.
+
+Chosen: more would let a wrong estimate explain anything, less claims too much information where
+most paths are reflected.
+"""
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
-NIS_FORGETTING = 1.0 - 1.0 / 200.0
-"""Forgetting factor of the mean NIS: a memory of 200 measurements."""
 MAX_PRIOR_SHARE = 1.0
 """Largest share of the state's own uncertainty in an innovation from which noise is learnt."""
 
@@ -250,7 +256,7 @@ class NoiseMonitor:
     @cached_property
     def correlation(self) -> float:
         """Lag-1 correlation of psi; 0 where it is not significant."""
-        if self.pair_count < MIN_PAIRS:
+        if self.pair_count < MIN_MEASUREMENTS:
             return 0.0
         mean = self.influence_sum / max(self.count, 1.0)
         variance = self.influence2_sum / self.count - mean**2
@@ -266,7 +272,7 @@ class NoiseMonitor:
         count = self.count + PRIOR_COUNT
         weight = (self.weight_sum + PRIOR_COUNT) / count
         influence2 = (self.influence2_sum + PRIOR_COUNT * self.initial_inflation) / count
-        slope = max((self.slope_sum + PRIOR_COUNT) / count, 0.05)
+        slope = max((self.slope_sum + PRIOR_COUNT) / count, MIN_SLOPE)
         sandwich = weight * influence2 / slope**2
         return min(max(1.0, sandwich) * self.repetition, MAX_INFLATION)
 
@@ -346,10 +352,11 @@ class InnovationNoise:
             else:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
         dof = sum([row is not None for row in report.modalities])
+        kept = 1.0 - 1.0 / 200.0  # a memory of 200 measurements: the band of their mean is +-20 %
         return InnovationNoise(
             (*monitors, *self.monitors[len(monitors) :]),  # a report without power has fewer rows
-            NIS_FORGETTING * self.dof + dof,
-            NIS_FORGETTING * self.nis_sum + report.nis,
+            kept * self.dof + dof,
+            kept * self.nis_sum + report.nis,
             self.found,
         )
 

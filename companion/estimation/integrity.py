@@ -32,9 +32,8 @@ from companion.estimation.filters.target_filter import FilterParams, Inflation, 
 from companion.estimation.innovations import OPEN, Gate, mean_band
 from companion.estimation.screen import Objection, RecentShare
 from companion.estimation.window.antenna_check import ConfiguredAntennaCheck
-
-GAP_S = 2.0
-"""Time without a measurement that agrees after which contact is interrupted."""
+from companion.estimation.window.sandwich import MIN_MEASUREMENTS
+from companion.estimation.window.shared_errors import GAP_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,20 +91,16 @@ class Contact:
 
 
 PROVEN_COUNT = 40
-"""Measurements that agreed before an estimate may reject outliers."""
-LOST_SHARE, FOUND_SHARE = 0.2, 0.5
-"""Share of the latest measurements below which agreement is lost, and at which it is regained."""
-TRACK_LOSS_S, TRACK_LOSS_COUNT = 5.0, 20
-"""Time and number of measurements without agreement after which the track is lost."""
+"""Measurements that agreed before an estimate may reject outliers.
 
-
-CONTRADICTION_COUNT = 40
-"""Consecutive contradicting measurements at which the track is discarded."""
+Chosen: 4 s of a radio of 10 Hz. More leave an estimate open to outliers for longer, fewer let one
+that began wrongly reject what is right.
+"""
+CONTRADICTION_COUNT = PROVEN_COUNT
+"""Consecutive contradicting measurements at which the track is discarded: as many as proved it."""
 CONTRADICTION_U = 3.0
-"""Whitened innovation of a contradiction: a bearing off to the same side, or a range too short."""
-
-OPPOSITE = 3.0
-"""Value of `Contradiction.side` for a bearing that points the other way, neither +1 nor -1."""
+"""Whitened innovation of a contradiction, in sigma: a bearing off to the same side, or a range too
+short. Of normal errors one in 700 is, on each side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +109,7 @@ class Contradiction:
 
     bearings: int = 0
     side: float = 0.0
-    """Direction in which those bearings are off: +-1 or `OPPOSITE`."""
+    """Direction in which those bearings are off: +-1, or 3 where they point the other way."""
     ranges: int = 0
     """Ranges that are too short; long ones do not contradict, because reflections make them."""
     rejected_ranges: int = 0
@@ -138,7 +133,7 @@ class Contradiction:
             side = 0.0
             if abs(bearing_u) > CONTRADICTION_U:
                 is_opposite = abs(borne.innovation) > 0.5 * math.pi
-                side = OPPOSITE if is_opposite else math.copysign(1.0, bearing_u)
+                side = 3.0 if is_opposite else math.copysign(1.0, bearing_u)
             bearings = 0 if side == 0.0 else (bearings + 1 if side == self.side else 1)
             rejected_bearings = 0 if gate.passes_bearing else rejected_bearings + 1
         if ranged is not None:
@@ -149,20 +144,17 @@ class Contradiction:
         return Contradiction(bearings, side, *counts, is_conclusive)
 
 
-NIS_WINDOW_S = 3.0
-"""Least span of the window of the NIS."""
 NIS_WINDOW_COUNT = 30
-"""Fewest measurements in that window."""
-OUT_OF_BAND_S = 3.0
-"""Time for which the NIS must stay above its band before the track is discarded."""
-OUT_OF_BAND_COUNT = 10
-"""Consecutive measurements with the NIS above its band, in the same way."""
-NEWEST_COUNT = 5
-"""Newest measurements that must still be above the band."""
+"""Fewest measurements in the window of the NIS.
+
+Chosen: 3 s of a radio of 10 Hz. More find a divergence later, of fewer the band is wider.
+"""
 RESTART_MEMORY_S = 60.0
-"""Time in which resets of the track are counted."""
-MAX_RESTARTS = 2
-"""Resets within that time that forbid guidance on the estimate."""
+"""Time in which resets of the track are counted, s.
+
+Chosen: a shorter one misses a track that is discarded again and again, a longer one counts resets
+that have nothing to do with each other.
+"""
 
 
 class NisWindow:
@@ -189,7 +181,9 @@ class NisWindow:
             return False
         self._values.append((time_s, statistics.fmean(squares), len(squares)))
         self._dof += len(squares)
-        while len(self._values) > NIS_WINDOW_COUNT and self._values[0][0] < time_s - NIS_WINDOW_S:
+        least_span_s = 3.0  # chosen: at high rates, errors within less repeat each other
+        since_s = time_s - least_span_s
+        while len(self._values) > NIS_WINDOW_COUNT and self._values[0][0] < since_s:
             self._dof -= self._values.popleft()[2]
         values = [value for _, value, _ in self._values]
         band = math.inf  # too few measurements
@@ -203,16 +197,11 @@ class NisWindow:
         if self._above_since_s is None:
             self._above_since_s = time_s
         self._above_count += 1
-        has_lasted = time_s - self._above_since_s >= OUT_OF_BAND_S
-        # the window's median lags behind the end of an excursion
-        is_over = statistics.median(values[-NEWEST_COUNT:]) <= band
-        return has_lasted and self._above_count >= OUT_OF_BAND_COUNT and not is_over
-
-
-DETOUR_S = 15.0
-"""Longest shadow in which contradicting measurements are not held against the estimate."""
-CONFIDENT_BEARING_RAD = math.radians(5.0)
-"""Predicted bearing sigma up to which the estimate takes precedence over a bearing."""
+        # another whole window above the band, and of a slow radio ten values: one is chance
+        has_lasted = time_s - self._above_since_s >= least_span_s and self._above_count >= 10
+        # the window's median lags behind the end of an excursion, that of its newest five does not
+        is_over = statistics.median(values[-5:]) <= band
+        return has_lasted and not is_over
 
 
 class TrackIntegrity:
@@ -225,7 +214,8 @@ class TrackIntegrity:
         """Consistency of the directions with the antenna, if one is configured."""
         self.restarts = 0
         """Number of tracks that were discarded."""
-        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
+        self._restarts_s: deque[float] = deque(maxlen=2)
+        """Latest resets, as many as forbid guidance on the estimate."""
         self._recovered_at = 0
         """Accepted measurements from which the estimate is trusted again."""
         self.reset()
@@ -279,16 +269,19 @@ class TrackIntegrity:
         self.contact = self.contact.after(at_s, measured, gate)
         is_reflected = ranged is not None and ranged.weight < 1.0 and ranged.innovation > 0.0
         is_detour = is_reflected and gate.agrees_in_range and not gate.agrees_in_bearing
+        # chosen: a vaguer prediction is no evidence against a bearing; and what contradicts for
+        # longer than a shadow usually lasts may be right
+        confident_rad, longest_s = math.radians(5.0), 15.0
         if not (
             self.is_proven
             and is_detour
             and borne is not None
-            and borne.noise_sigma * math.sqrt(borne.prior_share) <= CONFIDENT_BEARING_RAD
+            and borne.noise_sigma * math.sqrt(borne.prior_share) <= confident_rad
         ):
             self._detour_since_s = None
         elif self._detour_since_s is None:
             self._detour_since_s = at_s
-        if self._detour_since_s is not None and at_s - self._detour_since_s < DETOUR_S:
+        if self._detour_since_s is not None and at_s - self._detour_since_s < longest_s:
             return False
         is_track_lost = self.note_agreement(at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, gate_inflation, gate)
@@ -307,11 +300,13 @@ class TrackIntegrity:
         share, was_lost = self._recent.share, self.is_lost
         if share is None:
             return False
-        self.is_lost = share < (FOUND_SHARE if was_lost else LOST_SHARE)
+        # chosen: apart, so that it does not change back and forth; higher ones find more losses
+        self.is_lost = share < (0.5 if was_lost else 0.2)
         if not was_lost:
             self._lost_s, self._since_lost = time_s, 0
         self._since_lost += 1
-        has_lasted = time_s - self._lost_s >= TRACK_LOSS_S and self._since_lost >= TRACK_LOSS_COUNT
+        # chosen: less discards a track for one reflection, more flies on with a wrong one
+        has_lasted = time_s - self._lost_s >= 5.0 and self._since_lost >= 20
         return self.is_lost and has_lasted
 
     def give_up(self, time_s: float, accepted: int) -> None:
@@ -334,17 +329,10 @@ class TrackIntegrity:
     def objection(self, now_s: float) -> Objection | None:
         """Return the gravest reason not to use the estimate for guidance; None: there is none."""
         restarts_s = self._restarts_s
-        if len(restarts_s) == MAX_RESTARTS and now_s - restarts_s[0] <= RESTART_MEMORY_S:
+        is_full = len(restarts_s) == restarts_s.maxlen
+        if is_full and now_s - restarts_s[0] <= RESTART_MEMORY_S:
             return Objection.UNSTABLE
         return Objection.CONTRADICTED if self.is_lost else None
-
-
-NORMAL_OF_MEDIAN = 1.482602218505602
-"""Standard deviation of a normal distribution over the median of its absolute values."""
-FEWEST_DIFFERENCES, MOST_DIFFERENCES = 12, 60
-"""Number of differences: of 60, the median is known to a seventh."""
-LONGEST_GAP_S = 2.0
-"""Time between three neighbours beyond which the vehicle's motion is no line."""
 
 
 class Scatter:
@@ -353,7 +341,8 @@ class Scatter:
     def __init__(self, *, is_angle: bool = False) -> None:
         self._is_angle = is_angle
         self._latest: deque[tuple[float, float]] = deque(maxlen=3)
-        self._differences: deque[float] = deque(maxlen=MOST_DIFFERENCES)
+        self._differences: deque[float] = deque(maxlen=60)
+        """Latest ones; of 60, the median is known to a seventh."""
 
     def add(self, time_s: float, value: float) -> None:
         """Add a value; one that is not later than the one before is a repetition."""
@@ -361,7 +350,7 @@ class Scatter:
         if latest and time_s <= latest[-1][0]:
             return
         latest.append((time_s, value))
-        if len(latest) < 3 or time_s - latest[0][0] > LONGEST_GAP_S:
+        if len(latest) < 3 or time_s - latest[0][0] > GAP_S:
             return
         (t0, before), (t1, middle), (t2, after) = latest
         share = (t1 - t0) / (t2 - t0)
@@ -374,9 +363,10 @@ class Scatter:
     @property
     def sigma(self) -> float | None:
         """Standard deviation of white noise with this scatter; None: too few values."""
-        if len(self._differences) < FEWEST_DIFFERENCES:
+        if len(self._differences) < MIN_MEASUREMENTS:
             return None
-        return NORMAL_OF_MEDIAN * statistics.median(self._differences)
+        normal_of_median = 1.482602218505602  # 1 / (75 % quantile): sigma over median deviation
+        return normal_of_median * statistics.median(self._differences)
 
 
 class ReportedSigmas:

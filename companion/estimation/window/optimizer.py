@@ -52,7 +52,7 @@ from companion.estimation.window.rivals import (
     observability_of,
     weigh_optima,
 )
-from companion.estimation.window.sandwich import is_all_white
+from companion.estimation.window.sandwich import MIN_MEASUREMENTS, is_all_white
 from companion.estimation.window.shadows import shadow_weights
 from companion.estimation.window.shared_errors import (
     NO_ERRORS,
@@ -62,7 +62,6 @@ from companion.estimation.window.shared_errors import (
 )
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
-    MIN_MEASUREMENTS,
     Minima,
     WindowMap,
     WindowParams,

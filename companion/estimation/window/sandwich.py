@@ -46,23 +46,23 @@ def is_all_white(spatial_noise: SpatialNoises) -> bool:
 
 
 BANDWIDTH = 0.2
-"""Bandwidth of the Bartlett weights, as a share of the window."""
+"""Bandwidth of the Bartlett weights, as a share of the window.
+
+Chosen: a wider one has less bias by long correlation, and more scatter, which `CRITICAL_RATIO`
+corrects.
+"""
 CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BANDWIDTH**3) / 1.96
 """Fixed-bandwidth 97.5 % critical value over the normal one (Kiefer and Vogelsang)."""
 MIN_SLOPE = 0.05
 """Lower limit of the share of measurements on the quadratic part."""
 PRIOR_COUNT = 4.0
 """Weight of thermal noise in the pooled second moment, in measurements."""
-MAX_RESIDUAL = 10.0
-"""Limit of residuals, in sigma, where the loss does not clip them."""
 MAX_CORRELATION = 0.98
 """Upper limit of a lag-1 correlation: 99 measurements count as one."""
 SIGNIFICANT_SIGMAS = 2.0
 """Standard errors from which a correlation is significant: white residuals exceed it once in 44."""
-MIN_CORRELATED = 12
-"""Fewest residuals for an estimate of correlation."""
-DEFINITE_SHARE = 1e-3
-"""Share of the thermal covariance that is added to make a covariance positive definite."""
+MIN_MEASUREMENTS = 12
+"""Fewest measurements for a solution, a correlation, or a scatter: three times the basic state."""
 
 
 @dataclass(frozen=True)
@@ -189,12 +189,13 @@ class Scores:
     def unclipped_moment(self, modality: int) -> float:
         """Return the pooled second moment of the residuals themselves."""
         n = self.counts[modality]
-        u = np.clip(self.u[modality], -MAX_RESIDUAL, MAX_RESIDUAL)
+        most = 10.0  # sigma; chosen: where the loss does not clip, no residual is all of the sum
+        u = np.clip(self.u[modality], -most, most)
         return (float(np.sum(u**2)) + PRIOR_COUNT) / (n + PRIOR_COUNT)
 
     def correlation(self, modality: int) -> float:
         """Return the lag-1 correlation of the influences in time order, 0 if not significant."""
-        if self.counts[modality] < MIN_CORRELATED:
+        if self.counts[modality] < MIN_MEASUREMENTS:
             return 0.0
         psi = self.psi[modality][self.is_measured[modality]]
         psi = psi - psi.mean()
@@ -298,7 +299,8 @@ def correlated_variability(scores: Scores, shares: Shares = ALL_WHOLE) -> Matrix
 def covariance_of(A: Matrix, B: Matrix) -> Matrix:
     """Return A^-1 B A^-1, positive definite; `LinAlgError` if the position is unobservable."""
     A_inverse = np.linalg.inv(A)
-    covariance = A_inverse @ (B + DEFINITE_SHARE * A) @ A_inverse
+    share = 1e-3  # of the thermal covariance, for a singular B: sigmas grow by 0.05 %
+    covariance = A_inverse @ (B + share * A) @ A_inverse
     covariance = 0.5 * (covariance + covariance.T)
     np.linalg.cholesky(covariance)
     return np.asarray(covariance, dtype=np.float64)
@@ -316,12 +318,13 @@ def long_run_variance(scores: Vector) -> Matrix:
     return total
 
 
-EDGE_SIGMAS = 2.45
-"""Radius of the 95 % circle of a 2-D Gaussian, in sigma."""
 MIN_RISE_SHARE = 0.5
 """Least share of the predicted rise of the cost at the edge that confirms the curvature."""
 STRETCHES = tuple(1.5**i for i in range(1, 9))
-"""Stretch factors that are tried: up to 26."""
+"""Stretch factors that are tried, up to 26.
+
+Chosen: smaller steps cost more evaluations; between two a profiled cost is interpolated.
+"""
 
 Cost = Callable[[Vector], float]
 ProfiledCost = Callable[[Vector], Steps[float]]
@@ -351,11 +354,12 @@ def stretch_covariance(
     curvature = float(axis @ A @ axis)
     if profiled is not None:
         curvature = float(values[1] / (vectors[:, 1] @ np.linalg.inv(A)[:2, :2] @ vectors[:, 1]))
-    promised = 0.5 * EDGE_SIGMAS**2 * curvature
+    edge_sigmas = 2.45  # radius of the 95 % circle of a 2-D Gaussian
+    promised = 0.5 * edge_sigmas**2 * curvature
     base = cost(mean)
     sides = []
     for side in (-1.0, 1.0):
-        edge = side * EDGE_SIGMAS * axis
+        edge = side * edge_sigmas * axis
         sides.append((yield from _stretch(mean, edge, base, promised, cost, profiled, worth)))
     one, other = sides
     if one == other == 1.0:

@@ -37,20 +37,13 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 TIME_CONSTANT_S = 150.0
-"""Correlation time of single-frequency GNSS errors: 60 to 1,000 s."""
-BINS = 48
-"""Time bins of the window, for the covariance of the position error."""
-HEIGHT_STEP_M = 0.5
-"""Step of the numerical partials by the target's height."""
-VARIANCE_FLOOR = 1e-9
-"""Regularisation of the covariance where residuals carry no information."""
-LONGEST_GAP_S = 2.0
-"""Time between neighbouring rows beyond which the velocity is unknown."""
-DEFAULT_HEIGHT_SIGMA_M, DEFAULT_LAG_SIGMA_S = 3.0, 0.15
-"""Standard deviations of the ground's height and of the lag of a radio's stamps, if not
-configured."""
-FIX_DEGRADED_RATIO = 2.0
-"""Ratio of reported accuracies from which a fix counts as degraded: its error is a new one."""
+"""Correlation time of single-frequency GNSS errors, s: 60 to 1,000 s."""
+GAP_S = 2.0
+"""Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
+the vehicle's motion in between is not known to be a line.
+
+Chosen: a shorter one excludes slow radios, in a longer one the vehicle may have turned.
+"""
 
 
 class SharedSigmas(NamedTuple):
@@ -80,10 +73,13 @@ def shared_sigmas(
         return SharedSigmas()  # as in the paper, where positions and heights are known
     own, lag_s = own or DEFAULT_ACCURACY, params.stamp_lag_sigma_s
     if lag_s is None:
-        lag_s = DEFAULT_LAG_SIGMA_S if is_auto else 0.0
+        lag_s = 0.15 if is_auto else 0.0  # chosen: more widens every R95
     own_height_m = GNSS_ACCURACY_FACTOR * own.vertical_m if own.is_reported else 0.0
-    height_m = math.hypot(DEFAULT_HEIGHT_SIGMA_M, own_height_m) if is_auto else 0.0
-    has_jumped = own.is_reported and best_own_m * FIX_DEGRADED_RATIO <= own.horizontal_m
+    ground_m = 3.0  # sigma of the ground's height; chosen: more widens every R95
+    height_m = math.hypot(ground_m, own_height_m) if is_auto else 0.0
+    # a fix that is half as accurate is another one with an error of its own; chosen: at a smaller
+    # ratio mere noise of the reported accuracy would be a jump
+    has_jumped = own.is_reported and best_own_m * 2.0 <= own.horizontal_m
     jump_m = own.effective_m if has_jumped else 0.0
     own_m = own.effective_m
     if params.process_noise_m_per_sqrt_s > 0.0 and not own.is_corrected:
@@ -191,7 +187,8 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
     fixed = alone[:, :k] @ prior @ alone[:, :k].T
     white = pooled_variability(both, A_wide, scores.repetition)
     B = max(white, correlated_variability(both), key=lambda each: np.trace(alone @ each @ alone.T))
-    weight = remaining @ np.linalg.inv(alone @ B @ alone.T + fixed + VARIANCE_FLOOR * np.eye(j))
+    floor = 1e-9 * np.eye(j)  # for an inverse where residuals carry no information
+    weight = remaining @ np.linalg.inv(alone @ B @ alone.T + fixed + floor)
     V = np.linalg.inv(weight @ remaining + np.eye(j))
     found = V @ weight @ (partials.T @ scores.scored.reshape(-1))
     counted: Matrix = shift[:2] @ (V + np.outer(found, found)) @ shift[:2].T
@@ -200,13 +197,14 @@ def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matr
 
 def _height_partials(rows: Matrix, mean: Vector, scores: Scores, model: RangingModel) -> Vector:
     """Return the whitened partials by the target's height, (m n,), 0 where not measured."""
+    step_m = 0.5  # far above rounding, and small beside a vehicle's height
     at = np.array(mean)  # as in `WindowMap.scores`
     sigmas = row_sigmas(rows, at, model)
     low, high = (
         row_residuals(rows, at, sigmas, model._replace(height_m=model.height_m + step))
-        for step in (-HEIGHT_STEP_M, HEIGHT_STEP_M)
+        for step in (-step_m, step_m)
     )
-    partials = np.where(scores.is_measured, (low - high) / (2.0 * HEIGHT_STEP_M), 0.0)
+    partials = np.where(scores.is_measured, (low - high) / (2.0 * step_m), 0.0)
     if scores.root_weights is not None:
         partials[POWER] *= scores.root_weights
     return partials.reshape(-1)
@@ -218,7 +216,7 @@ def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
     before = np.maximum(np.arange(n) - 1, 0)
     after = np.minimum(np.arange(n) + 1, n - 1)
     gap_s = times_s[after] - times_s[before]
-    is_known = (gap_s > 1e-3) & (gap_s < LONGEST_GAP_S)
+    is_known = (gap_s > 1e-3) & (gap_s < GAP_S)
     moved = rows[after, :2] - rows[before, :2]
     velocities: Matrix = np.where(
         is_known[:, None], moved / np.where(is_known, gap_s, 1.0)[:, None], 0.0
@@ -229,9 +227,10 @@ def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
 def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -> Matrix:
     """Return W / sigma^2, (2, 2)."""
     n, now_s = len(times_s), float(times_s.max())
+    bins = 48  # of 10 min: 13 s, short beside tau; the cost grows with the square
     span_s = max(now_s - float(times_s.min()), 1e-6)
-    which = np.minimum((BINS * (now_s - times_s) / span_s).astype(int), BINS - 1)
-    middles_s = (np.arange(BINS) + 0.5) * span_s / BINS
+    which = np.minimum((bins * (now_s - times_s) / span_s).astype(int), bins - 1)
+    middles_s = (np.arange(bins) + 0.5) * span_s / bins
     kept = np.exp(-middles_s / TIME_CONSTANT_S)
     apart = np.exp(-np.abs(middles_s[:, None] - middles_s[None]) / TIME_CONSTANT_S)
     C = apart - kept[:, None] - kept[None] + 1.0
@@ -239,6 +238,6 @@ def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -
     total = np.zeros((2, 2))
     for axis in range(2):
         each = (shift * place[:, axis : axis + 1]).reshape(-1, n, 2).sum(axis=0)
-        G = np.stack([np.bincount(which, each[:, row], BINS) for row in range(2)], axis=1)
+        G = np.stack([np.bincount(which, each[:, row], bins) for row in range(2)], axis=1)
         total += G.T @ C @ G
     return total

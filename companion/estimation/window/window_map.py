@@ -85,8 +85,6 @@ from companion.estimation.window.shadows import spatial_noises
 from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
-MIN_MEASUREMENTS = 12
-"""Fewest measurements for a solution: three times the basic state."""
 MAX_POSITION_SIGMA_M = 200.0
 """Optima with a larger position sigma are rejected."""
 FARTHEST_M = 1e6

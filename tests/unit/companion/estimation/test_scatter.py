@@ -11,9 +11,10 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.estimation.antenna import AntennaKind, AntennaParams
 from companion.estimation.filters.target_filter import FilterParams
-from companion.estimation.integrity import FEWEST_DIFFERENCES, ReportedSigmas, Scatter
+from companion.estimation.integrity import ReportedSigmas, Scatter
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
+from companion.estimation.window.sandwich import MIN_MEASUREMENTS
 from tests.unit.companion.estimation.tracker_helpers import (
     bearing_to,
     estimate_of,
@@ -50,7 +51,7 @@ def test_a_direction_through_south_is_no_scatter() -> None:
 
 def test_few_values_gaps_and_repetitions_show_nothing() -> None:
     few, gaps, repeated = Scatter(), Scatter(), Scatter()
-    for step in range(FEWEST_DIFFERENCES + 1):
+    for step in range(MIN_MEASUREMENTS + 1):
         few.add(0.1 * step, float(step % 2))
     for step in range(99):
         gaps.add(1.5 * step, float(step % 2))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from companion.estimation.innovations import OPEN, Gate
-from companion.estimation.integrity import GAP_S, Contact
+from companion.estimation.integrity import Contact
+from companion.estimation.window.shared_errors import GAP_S
 
 SHORT = Gate(passes_range=False, agrees_in_range=False)
 ASIDE = Gate(passes_bearing=False, agrees_in_bearing=False)

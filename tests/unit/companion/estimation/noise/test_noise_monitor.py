@@ -11,12 +11,15 @@ import pytest
 
 from companion.estimation.innovations import (
     MAX_INFLATION,
-    MIN_PAIRS,
     NOISE_FORGETTING,
     PRIOR_COUNT,
     NoiseMonitor,
 )
-from companion.estimation.window.sandwich import MAX_CORRELATION, SIGNIFICANT_SIGMAS
+from companion.estimation.window.sandwich import (
+    MAX_CORRELATION,
+    MIN_MEASUREMENTS,
+    SIGNIFICANT_SIGMAS,
+)
 
 K = 1.5
 
@@ -93,7 +96,7 @@ def test_repetition_is_that_of_the_lag_one_correlation() -> None:
     assert monitor.repetition == pytest.approx((1.0 + rho) / (1.0 - rho), rel=1e-9)
 
 
-@pytest.mark.parametrize("count", [2, 5, int(MIN_PAIRS)])
+@pytest.mark.parametrize("count", [2, 5, MIN_MEASUREMENTS])
 def test_few_neighbours_tell_nothing_of_correlation(count: int) -> None:
     assert _monitor([1.0, -1.0] * 3 + [1.4] * count).repetition == 1.0
 

@@ -14,9 +14,9 @@ from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.optimizer import WindowOptimizer, start_around
+from companion.estimation.window.sandwich import MIN_MEASUREMENTS
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
-    MIN_MEASUREMENTS,
     WindowMap,
     WindowParams,
 )

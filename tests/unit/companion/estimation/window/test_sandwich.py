@@ -10,7 +10,7 @@ import pytest
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.window.sandwich import (
     MAX_CORRELATION,
-    MIN_CORRELATED,
+    MIN_MEASUREMENTS,
     MIN_SLOPE,
     PRIOR_COUNT,
     Scores,
@@ -95,7 +95,7 @@ def test_white_residuals_repeat_nothing() -> None:
 
 
 def test_too_few_or_all_alike_tell_nothing_of_correlation() -> None:
-    assert _scores(np.linspace(-1.0, 1.0, MIN_CORRELATED - 1)[None]).correlation(0) == 0.0
+    assert _scores(np.linspace(-1.0, 1.0, MIN_MEASUREMENTS - 1)[None]).correlation(0) == 0.0
     assert _scores(np.linspace(-1.0, 1.0, 200)[None]).correlation(0) == MAX_CORRELATION
     assert _scores(np.full((1, 50), 0.5)).correlation(0) == 0.0
 
