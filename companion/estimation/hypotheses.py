@@ -235,9 +235,8 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
         if log_weight < math.log(1e-7):  # chosen: fewer cost less, but cannot come back
             break
         for index, other in enumerate(kept):
-            if (
-                _distance2(candidate.state, other.state) < 2.0**2
-            ):  # chosen: within 2 sigma it is the same
+            # chosen: within 2 sigma it is the same place; more would merge mirror images
+            if _distance2(candidate.state, other.state) < 2.0**2:
                 kept[index] = _merged(other, replace(candidate, log_weight=log_weight))
                 break
         else:

@@ -33,7 +33,6 @@ from companion.estimation.antenna import (
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.unit_check import (
     BEARINGS,
-    NEWEST_COUNT,
     RANGES,
     BearingCheck,
     Sample,
@@ -83,9 +82,11 @@ class AcceptanceParams(Params, frozen=True):
 
 
 FUTURE_TOLERANCE_S = 0.1
-"""Error of clock synchronisation that is tolerated."""
-LEAST_NORMAL = 2.0**-126
-"""Smallest normal float32. No sensor resolves less: a smaller number, except zero, was no float."""
+"""Error of clock synchronisation that is tolerated, s.
+
+Chosen: less rejects all of a radio whose clock is ahead, more takes a measurement for newer than it
+is.
+"""
 
 
 def reject_reason_of(
@@ -100,12 +101,13 @@ def reject_reason_of(
     sigmas = [sigma for sigma in reported if sigma is not None]
     powers = [] if m.power_dbm is None else [m.power_dbm]
     numbers = [*ranges, *bearings, *elevations, *powers, *sigmas]
+    least_normal = 2.0**-126  # of float32: a smaller number, except zero, was no float
     if not (ranges or bearings or powers):
         return RejectReason.NOTHING_MEASURED
     if not all(map(math.isfinite, (*numbers, m.measured_at_s))):
         return RejectReason.NOT_FINITE
     checks = (
-        ([v for v in numbers if 0.0 < abs(v) < LEAST_NORMAL], RejectReason.DENORMAL),
+        ([v for v in numbers if 0.0 < abs(v) < least_normal], RejectReason.DENORMAL),
         (min(ranges, default=1.0) <= 0.0, RejectReason.RANGE_NOT_POSITIVE),
         (max(ranges, default=0.0) > params.max_range_m, RejectReason.RANGE_ABSURD),
         (max(map(abs, bearings), default=0.0) > MAX_BEARING_RAD, RejectReason.BEARING_ABSURD),
@@ -148,14 +150,12 @@ class Objection(Enum):
 FROZEN_COUNT = 5
 """Equal values in a row before a value may be frozen."""
 FROZEN_S = 1.0
-"""Least duration of equal values before they are frozen."""
+"""Least duration of equal values before they are frozen, s."""
 FROZEN_M = 2.0
-"""Least motion of the vehicle during equal values before they are frozen."""
-FROZEN_STEPS = 2.0
-"""The same motion in steps of the ranges, if more: motion across the line of sight changes no
-range."""
-FROZEN_POWER_M = 50.0
-"""The same motion for powers, which are reported in whole dB: two steps at 300 m and exponent 3."""
+"""Least motion of the vehicle during equal values before they are frozen, m.
+
+Chosen, as the two above: less drops a true value that happens to repeat, more uses a wrong one.
+"""
 
 
 class FrozenValue:
@@ -194,9 +194,10 @@ class SampleHistory:
         samples, (span_s, least, _, every, changed_ratio) = self._samples, self._sampling
         samples.append(sample)
         if changed_ratio is not None:
+            count = 4  # chosen: fewer may be outliers, more delay the next check
             sizes = [each.value for each in samples]
-            before, newest = sizes[:-NEWEST_COUNT], sizes[-NEWEST_COUNT:]
-            if len(before) >= NEWEST_COUNT:
+            before, newest = sizes[:-count], sizes[-count:]
+            if len(before) >= count:
                 middle = statistics.median(before)
                 if max(newest) < middle / changed_ratio or min(newest) > middle * changed_ratio:
                     for _ in before:  # of another unit: a mixture of units explains nothing
@@ -208,12 +209,6 @@ class SampleHistory:
         if self._since >= every and len(samples) >= least:
             self._since = 0
             self.check.judge(samples)
-
-
-STEEP_RATIO = 1.5
-"""Range over height below which the emitter is below the vehicle, where bearings are arbitrary."""
-RECENT_S, RECENT_COUNT = 2.0, 10
-"""Least span of a share of the latest measurements, and fewest measurements in it."""
 
 
 class RecentShare:
@@ -231,10 +226,12 @@ class RecentShare:
         """Take in one that arrived at this time."""
         self._window.append((time_s, is_true))
         self._true_count += is_true
-        while len(self._window) > RECENT_COUNT and self._window[0][0] < time_s - RECENT_S:
+        # chosen: shorter ones are chance, longer ones delay the answer; ten also of a slow radio
+        least_s, least = 2.0, 10
+        while len(self._window) > least and self._window[0][0] < time_s - least_s:
             self._true_count -= self._window.popleft()[1]
         count = len(self._window)
-        if count >= RECENT_COUNT:  # as in all that follow: only a longer window is shortened
+        if count >= least:  # as in all that follow: only a longer window is shortened
             self.share = self._true_count / count
             self.is_most = self.share > 0.5
 
@@ -249,10 +246,6 @@ class Judgement:
     """Reason if not all of it may be used."""
     is_newly_objected: bool = False
     """True if an objection begins with this measurement: earlier ones were no better."""
-
-
-DUPLICATE_MEMORY = 256
-"""Measurements in which duplicates are searched: 2.5 s of a radio of 100 Hz."""
 
 
 class MeasurementScreen:
@@ -282,9 +275,10 @@ class MeasurementScreen:
         """Forget positions from before a jump of the vehicle's navigation."""
         self._ranges = SampleHistory(RANGES, self._units)
         self._directions = SampleHistory(BEARINGS, self._bearings)
-        least_m = max(FROZEN_M, FROZEN_STEPS * self._params.range_step_m)
+        # two steps, because motion across the line of sight changes no range
+        least_m = max(FROZEN_M, 2.0 * self._params.range_step_m)
         self._frozen_range, self._frozen_bearing = FrozenValue(least_m), FrozenValue()
-        self._frozen_power = FrozenValue(FROZEN_POWER_M)
+        self._frozen_power = FrozenValue(50.0)  # m: two steps of 1 dB at 300 m and exponent 3
 
     def _present_objection(self) -> Objection | None:
         if self._units.is_rejected or self._absurd_ranges.is_most:
@@ -311,7 +305,7 @@ class MeasurementScreen:
             self._absurd_bearings.add(now_s, is_true=True)
         if reason is None:
             self._recent[identity] = None
-            if len(self._recent) > DUPLICATE_MEMORY:
+            if len(self._recent) > 256:  # 2.5 s of a radio of 100 Hz
                 del self._recent[next(iter(self._recent))]
         else:
             self.objection = self._present_objection()
@@ -382,7 +376,8 @@ class MeasurementScreen:
         if self._frozen_bearing.add(raw_rad, m.measured_at_s, sensor_enu_m):
             return RejectReason.FROZEN
         height_m = abs(sensor_enu_m[2] - self._params.target_height_m)
-        is_flat = m.range_m is not None and m.range_m > STEEP_RATIO * height_m
+        # less than 42 degrees below the horizon: nearer to the vertical, bearings are arbitrary
+        is_flat = m.range_m is not None and m.range_m > 1.5 * height_m
         # without a range only azimuths about the vertical can be tested: the steepness is unknown
         if is_flat or (m.range_m is None and m.array is None):
             _, sigma_rad, _ = self._params.effective_sigmas(m)

@@ -71,33 +71,19 @@ class Sampling(NamedTuple):
 FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
 """Reported over true range in kilometres, in hundreds of metres, and after a conversion from
 degrees to radians that was applied to ranges as well."""
-MAX_SPREAD_M = 100.0
-"""Largest distance between the quartiles of recent ranges beyond the vehicle's motion and a
-step."""
 CHANGED_RATIO = 5.0
-"""Ratio of newest to earlier ranges from which they come in another unit than before."""
-NEWEST_COUNT = 4
-"""Consecutive values that must have changed."""
+"""Ratio of newest to earlier ranges from which they come in another unit than before.
+
+Chosen: far below the least factor of a unit, 57; a smaller ratio drops ranges that changed because
+the vehicle moved.
+"""
 RANGES = Sampling(span_s=3.0, least=12, most=48, every=8, changed_ratio=CHANGED_RATIO)
 """A vehicle at 3 m/s moves by 9 m in that span."""
-REJECT_LOG_RATIO = math.log(1000.0)
-"""Log-likelihood ratio to metres at which a factor is accepted."""
-ACCEPT_LOG_RATIO = -3.0
-"""Log-likelihood ratio at which ranges count as metres again: 20 to 1."""
-REFINED, REFINEMENTS = 4, 5
-"""Number of best positions that are refined in metres, and Gauss-Newton steps of each."""
-DIRECTIONS = 24
-"""Directions of the grid of trial positions: one every 15 degrees."""
-NEAREST_M, RINGS = 1.0, 20
-"""Radius of the innermost ring of trial positions, metres, and number of rings out to the reach."""
-LEAST_NOISE_M = 1e-3
-"""Finest resolution of any radio, in its own numbers."""
-MOST_NOISE_M = 40.0
-"""Noise of the radio, metres, above which a unit is ruled out."""
-OUTLIER_DEVIATIONS = 4.0
-"""Ranges above the median are clipped at this many median absolute deviations."""
-FREE_EXCESS_M = 30.0
-"""Range offset up to which a reflection explains it at no cost."""
+DECISION_LOG_ODDS = math.log(1000.0)
+"""Log odds at which a hypothesis about the radio is accepted: a unit, or an antenna.
+
+Chosen: a wrong decision costs the whole search, a late one some seconds.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +116,8 @@ class _Moments:
         """Return the sum of squares that factors on the distances leave at each position.
 
         Factors of all positions are (n, 1), of each position (places,), and so is the result.
-        Rounding of the sums is a millionth of `LEAST_NOISE_M` squared where ranges spread by up to
-        `MAX_SPREAD_M`; guidance does not use wider ones anyhow.
+        Rounding of the sums is a millionth of the finest resolution squared where ranges spread by
+        up to 100 m; guidance does not use wider ones anyhow.
         """
         left = self._range2 + factor * (factor * self._distance2 - 2.0 * self._product)
         return np.asarray(np.maximum(left, 0.0))
@@ -154,11 +140,13 @@ class UnitCheck:
 
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
-        self._noise2_m2 = max(LEAST_NOISE_M, params.step_sigma_m) ** 2
-        """Variance that always counts as unexplained, in the radio's own numbers."""
-        angles = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        self._noise2_m2 = max(1e-3, params.step_sigma_m) ** 2
+        """Variance that always counts as unexplained, in the radio's own numbers: no radio resolves
+        a thousandth."""
+        count = 24  # chosen: every 15 degrees, and of 20 rings to 2 km each 1.5 times as far
+        angles = 2.0 * math.pi * np.arange(count) / count
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        rings = np.geomspace(NEAREST_M, max_range_m, RINGS)[:, None, None] * around
+        rings = np.geomspace(1.0, max_range_m, 20)[:, None, None] * around
         self._around_m: Matrix = rings.reshape(-1, 2)
         """Trial positions relative to the vehicle, (places, 2)."""
         self._rejected_s = 0.0
@@ -177,8 +165,8 @@ class UnitCheck:
         places = np.array([sample.place_enu_m for sample in samples])
         window = _Window(_clipped(raw_m, middle_m), places)
         if not self.is_rejected:
-            factor, log_ratio = self._likeliest(window, FACTORS, REJECT_LOG_RATIO)
-            if log_ratio >= REJECT_LOG_RATIO:
+            factor, log_ratio = self._likeliest(window, FACTORS, DECISION_LOG_ODDS)
+            if log_ratio >= DECISION_LOG_ODDS:
                 self.factor = factor
             self.is_wild = self._is_wild(window)
             self._rejected_s, self._rejected_m = now_s, middle_m
@@ -189,8 +177,9 @@ class UnitCheck:
     def _reconsider(self, window: _Window, middle_m: float) -> None:
         """Accept ranges again when metres are more probable, or when their size has changed."""
         if self.factor is not None:
-            _, log_ratio = self._likeliest(window, (self.factor,), ACCEPT_LOG_RATIO)
-            if log_ratio <= ACCEPT_LOG_RATIO:
+            metres = -3.0  # 20 to 1; chosen: less certain than the decision that it takes back
+            _, log_ratio = self._likeliest(window, (self.factor,), metres)
+            if log_ratio <= metres:
                 self.factor = None
         if self.is_wild and middle_m < self._rejected_m / CHANGED_RATIO:
             self.is_wild = self._is_wild(window)
@@ -209,7 +198,7 @@ class UnitCheck:
         if log_ratio < limit:
             return factors[best], log_ratio
         # metres get the benefit of positions between the grid points; this only lowers the ratio
-        starts = places[np.argsort(in_metres)[:REFINED]]
+        starts = places[np.argsort(in_metres)[:4]]  # chosen: more take longer
         distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)
         best_in_metres = float(self._costs(refined, (1.0,), count).min())
@@ -226,7 +215,7 @@ class UnitCheck:
     def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
         """Return the positions after Gauss-Newton steps with a free offset, (places, 2)."""
         refined = np.array(places_enu_m)
-        for _ in range(REFINEMENTS):
+        for _ in range(5):  # chosen: the start is within a cell of the grid
             distances_m = self._distances_m(refined, window.sensor_enu_m)
             for place, distance_m in zip(refined, distances_m, strict=True):
                 partials = (place - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
@@ -245,7 +234,7 @@ class UnitCheck:
         residual2 = tried.residual2(factor) / tried.count
         cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
-        is_too_noisy = np.sqrt(residual2) / factor > MOST_NOISE_M
+        is_too_noisy = np.sqrt(residual2) / factor > 40.0  # m; chosen: it would be useless
         cost[is_too_noisy & (factor != 1.0)] = math.inf
         return cost
 
@@ -256,13 +245,15 @@ class UnitCheck:
         high_m = p.range_offset_max_m or 0.0
         sigma_m = p.range_offset_sigma_m if p.range_offset_min_m is None else p.range_sigma_m
         below = np.minimum(offset_m - low_m, 0.0) / sigma_m
-        above = np.maximum(offset_m - high_m - FREE_EXCESS_M, 0.0) / p.range_offset_sigma_m
+        free_m = 30.0  # chosen: reflections add as much; more would excuse metres for any unit
+        above = np.maximum(offset_m - high_m - free_m, 0.0) / p.range_offset_sigma_m
         cost: Matrix = 0.5 * (below**2 + above**2)
         return cost
 
     def _is_wild(self, window: _Window) -> bool:
         """Return True if the quartiles are farther apart than the vehicle's motion explains."""
-        most_m = MAX_SPREAD_M + self._params.range_step_m
+        # m; chosen: less rejects a radio among reflections, more trusts one that reports noise
+        most_m = 100.0 + self._params.range_step_m
         if float(np.ptp(window.range_m)) <= most_m:
             return False
         low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
@@ -272,23 +263,13 @@ class UnitCheck:
 
 def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
     deviation_m = statistics.median([abs(each - middle_m) for each in range_m])
-    clipped: Vector = np.minimum(np.array(range_m), middle_m + OUTLIER_DEVIATIONS * deviation_m)
+    most_m = middle_m + 4.0 * deviation_m  # 2.7 sigma of normal errors
+    clipped: Vector = np.minimum(np.array(range_m), most_m)
     return clipped
 
 
-QUIET_S = 2.5
-"""Span of the bearings that are tested for being quiet."""
 BEARINGS = Sampling(span_s=4.0, least=16, most=96, every=4)
 """Their span is that of the bearings that are tested for being random."""
-MIN_PATH_M = 5.0
-"""Motion of the vehicle without which quiet bearings prove nothing."""
-QUIET_SIGMAS = 1.0 / 6.0
-"""Distance between the outer deciles, in sigma, below which bearings are quiet; noise makes 2.6."""
-RANDOM_COSINE = 0.1
-"""Mean cosine of the turns between consecutive bearings below which they are random: about 0 for
-random bearings, 0.36 with two outliers among five."""
-RANDOM_COUNT = 32
-"""Turns needed for the test."""
 
 
 class BearingCheck:
@@ -309,7 +290,9 @@ class BearingCheck:
         self.is_rejected = self.is_quiet or self.is_random
 
     def _judge_quiet(self, samples: Sequence[Sample]) -> None:
-        since_s = samples[-1].time_s - QUIET_S
+        # chosen: on a shorter way a true bearing may stay as it is; a longer one takes longer
+        span_s, path_m = 2.5, 5.0
+        since_s = samples[-1].time_s - span_s
         recent = [sample for sample in samples if sample.time_s >= since_s]
         if len(recent) < BEARINGS.least:
             recent = list(samples)[-BEARINGS.least :]
@@ -318,16 +301,16 @@ class BearingCheck:
         middle = math.atan2(math.fsum(map(math.sin, bearings)), math.fsum(map(math.cos, bearings)))
         off = [wrap_pi(bearing - middle) for bearing in bearings]
         low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
-        if high - low >= QUIET_SIGMAS * sigma_rad:
+        if high - low >= (1.0 / 6.0) * sigma_rad:  # noise alone makes 2.6 sigma
             self.is_quiet = False
             return
         places = [sample.place_enu_m for sample in recent]
-        if sum(math.dist(before, after) for before, after in pairwise(places)) >= MIN_PATH_M:
+        if sum(math.dist(before, after) for before, after in pairwise(places)) >= path_m:
             self.is_quiet = True
 
 
 def _looks_random(bearings: Sequence[float]) -> bool:
-    if len(bearings) <= RANDOM_COUNT:
+    if len(bearings) <= 32:  # the mean of so many cosines of random turns is known to 0.125
         return False
     cosines = [math.cos(after - before) for before, after in pairwise(bearings)]
-    return statistics.fmean(cosines) < RANDOM_COSINE
+    return statistics.fmean(cosines) < 0.1  # 0 if random; 0.36 with two outliers among five

@@ -128,32 +128,16 @@ class TargetFilter(Protocol):
         """
 
 
-NO_AXES = (0.0,) * 6
-"""Placeholder axes of a measurement without a direction."""
-POWER_SIGMA_DB, POWER_STEP_DB = 4.5, 1.0
-"""Fast fading of a received power that a radio averages little, 3 to 6 dB, and the step in which
-radios report it."""
+POWER_SIGMA_DB = 4.5
+"""Fast fading of a received power that a radio averages little, standard deviation: 3 to 6 dB."""
 POWER_PLACE_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
-"""Shadowing, 4 to 8 dB, and its correlation length: 10 m in rubble to 100 m in the open (M.
-Gudmundson, Electronics Letters 27, 1991)."""
-POWER_TOTAL_SIGMA_DB = math.hypot(
-    POWER_SIGMA_DB, POWER_PLACE_SIGMA_DB, POWER_STEP_DB / math.sqrt(12.0)
-)
-"""Standard deviation of one received power, its rounding included."""
-POWER_SIGMA_0_DB = 10.0
-"""Prior standard deviation of the power at 1 m: transmit power, and gains of both antennas."""
-UNKNOWN_POWER_DBM, UNKNOWN_POWER_SIGMA_DB = -40.0, 15.0
-"""The same prior if nothing is configured: from -59 dBm of a Bluetooth beacon of 0 dBm to -11 dBm
-of a LoRa module of 20 dBm at 868 MHz."""
-EXPONENT, EXPONENT_SIGMA = 2.75, 0.4
-"""Prior of the path-loss exponent: 2 in free space to 3.5 in urban areas (Rappaport, table 4.2)."""
-EXPONENT_BOUNDS = (1.6, 6.0)
-"""Least and greatest exponent of the same table: a corridor in sight, an obstructed building."""
-MAX_SIGMAS = (MOST, math.pi, math.pi)
-"""Largest standard deviations of a range (m), a bearing and an elevation (rad) that are used: half
-a turn is no information about a direction."""
-FLOAT32_STEP = 2.0**-23
-"""Relative rounding of float32: a configured sigma may be reported this much smaller."""
+"""Standard deviation of shadowing, 4 to 8 dB, and its correlation length: 10 m in rubble to 100 m
+in the open (M. Gudmundson, Electronics Letters 27, 1991)."""
+POWER_TOTAL_SIGMA_DB = math.hypot(POWER_SIGMA_DB, POWER_PLACE_SIGMA_DB, 1.0 / math.sqrt(12.0))
+"""Standard deviation of one received power, its rounding to 1 dB included."""
+EXPONENT = 2.75
+"""Prior mean of the path-loss exponent: 2 in free space to 3.5 in urban areas (Rappaport, table
+4.2)."""
 
 
 def threshold(k: float | None) -> float:
@@ -256,8 +240,8 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
     """Hard lower bound of the scale error, where it differs; 0: ranges are never too short."""
     stamp_lag_s: NonNegative = 0.0
     """Delay of the radio's stamps after the measurement."""
-    power_at_1m_sigma_db: Positive = POWER_SIGMA_0_DB
-    """Standard deviation of the power at 1 m."""
+    power_at_1m_sigma_db: Positive = 10.0
+    """Prior standard deviation of the power at 1 m: transmit power and gains of both antennas."""
     near_target_terms: bool = True
     """Second-order terms of the measurement model, without which the filter diverges near the
     target."""
@@ -286,11 +270,8 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         """The same assumptions for an emitter that gives power alone; itself if configured."""
         if self.power_at_1m_dbm is not None:
             return self
-        return msgspec.structs.replace(
-            self,
-            power_at_1m_dbm=UNKNOWN_POWER_DBM,
-            power_at_1m_sigma_db=UNKNOWN_POWER_SIGMA_DB,
-        )
+        # -59 dBm of a Bluetooth beacon of 0 dBm to -11 dBm of a LoRa module of 20 dBm at 868 MHz
+        return msgspec.structs.replace(self, power_at_1m_dbm=-40.0, power_at_1m_sigma_db=15.0)
 
     @cached_property
     def step_sigma_m(self) -> float:
@@ -331,7 +312,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             sigmas.append(self.target_height_sigma_m)
         if self.power_at_1m_dbm is not None:
             mean += [self.power_at_1m_dbm, EXPONENT]
-            sigmas += [self.power_at_1m_sigma_db, EXPONENT_SIGMA]
+            sigmas += [self.power_at_1m_sigma_db, 0.4]  # the exponent is 2 to 3.5
         return np.array(mean), np.array(sigmas)
 
     @cached_property
@@ -352,7 +333,8 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             bounds[0, model.scale_index] = -self.range_scale_max if least is None else least
             bounds[1, model.scale_index] = self.range_scale_max
         if model.power_index != ABSENT:
-            bounds[:, model.power_index + 1] = EXPONENT_BOUNDS
+            # Rappaport, table 4.2: a corridor in sight, and an obstructed building
+            bounds[:, model.power_index + 1] = 1.6, 6.0
         return bounds
 
     @cached_property
@@ -376,7 +358,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         has_elevation = self.use_elevation and not m.is_array_angle
         angles = (m.bearing_enu_rad, m.elevation_rad if has_elevation else None)
         if self.model.antenna != AZIMUTH:
-            angles, axes = (None, None), NO_AXES
+            angles, axes = (None, None), (0.0,) * 6  # no axes without a direction
             if m.array is None and m.bearing_enu_rad is not None and self.model.antenna == PLANAR:
                 # a north-referenced bearing is treated as that of a level array
                 angles, axes = (-m.bearing_enu_rad, None), (*LEVEL[0], *LEVEL[1])
@@ -400,13 +382,15 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         if not self.use_reported_sigma or reported == (None, None, None):
             return configured
         used = []
+        largest = (MOST, math.pi, math.pi)  # half a turn is no information about a direction
+        rounding = 2.0**-23  # of float32: a configured sigma may be reported this much smaller
         for sigma, least, most, own in zip(
-            reported, m.least_sigmas, MAX_SIGMAS, configured, strict=True
+            reported, m.least_sigmas, largest, configured, strict=True
         ):
             lower = own if least is None else least
             if sigma is None:
                 used.append(own)
-            elif sigma < lower * (1.0 - FLOAT32_STEP):
+            elif sigma < lower * (1.0 - rounding):
                 used.append(lower)
             else:
                 used.append(min(sigma, most))

@@ -11,8 +11,8 @@ estimated as well, so that reflections have little weight and no noise needs to 
     cost = sum of log(sigma_i scale) + |u_i| / scale,    scale = mean |u_i|
 
 with u the whitened residuals; ranges add their robust loss. Another antenna is accepted when the
-difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than
-`DECISION_SIGMAS` of its scatter by noise, with the correlation of neighbours. Until then the planar
+difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than three
+standard deviations by noise, with the correlation of neighbours. Until then the planar
 array is assumed, which claims the least information. An angle beyond a right one rules out a line
 at once. A bearing beside a range that is too long came by reflection or around an edge, and is no
 evidence. A planar array is reported only where an azimuth's errors grow with the steepness: errors
@@ -36,6 +36,7 @@ from companion.estimation.antenna import AntennaKind
 from companion.estimation.filters.target_filter import FilterParams, Inflation
 from companion.estimation.measurement_model import BEARING, ELEVATION, RANGE, target_height_m
 from companion.estimation.stepwise import Steps, Stepwise
+from companion.estimation.unit_check import DECISION_LOG_ODDS
 from companion.estimation.window.map_kernels import (
     AXES,
     VALUES,
@@ -47,33 +48,11 @@ from companion.estimation.window.sandwich import Scores, long_run_variance
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
-MIN_BEARINGS = 40
-"""Fewest bearings for a comparison."""
-DECISION_LOG_ODDS, BEARINGS_ONLY_LOG_ODDS = math.log(1000.0), 4.0 * math.log(1000.0)
-"""Log odds between two antennas, and without ranges, where each antenna finds a position that suits
-it."""
-DECISION_SIGMAS = 3.0
-"""Standard deviations of the cost difference by noise."""
-EVERY = 4
-"""Number of solutions between two checks of an identified antenna."""
+MIN_DIRECTIONS = 40
+"""Fewest directions for a comparison of antennas, or for a test of the configured one.
 
-NLOS_SIGMAS = 2.0
-"""Excess of a range, in sigma, from which it and its bearing came by reflection or around an
-edge."""
-
-STEEP_RAD = math.radians(45.0)
-"""Angle below the horizon from which a view counts as steep."""
-MIN_STEEP = 8
-"""Fewest steep and fewest level bearings for the comparison of their errors."""
-WORSE_SHARE = 0.6
-"""Share of pairs whose steep error is larger that shows a growth with steepness; 0.5 by chance."""
-
-CONTRADICTED_SIGMAS, CLEARED_SIGMAS = 4.0, 2.0
-"""Median error of directions, in sigma, that contradicts the antenna, and that clears it again."""
-MIN_CONTRADICTING = 40
-"""Fewest directions for that test."""
-CONTRADICTED_FOR_S = 10.0
-"""Time that a contradiction must last: early on, the estimated position itself is wrong."""
+Chosen: 4 s of a radio of 10 Hz. More decide later, of fewer the mean error is known worse.
+"""
 
 Candidate = Literal["azimuth", "planar", "line"]
 CANDIDATES: tuple[Candidate, ...] = ("planar", "azimuth", "line")
@@ -142,8 +121,9 @@ class AntennaCheck:
         is_no_line = bool(np.any(np.abs(printed_rad[is_borne]) > 0.5 * math.pi))
         if is_no_line and before == "line":
             self._accept("planar", is_identified=False)
-        is_due = not self.is_identified or self._solutions % EVERY == 0
-        if is_due and np.count_nonzero(is_borne) >= MIN_BEARINGS:
+        # chosen: an identified antenna costs three solutions at every fourth one only
+        is_due = not self.is_identified or self._solutions % 4 == 0
+        if is_due and np.count_nonzero(is_borne) >= MIN_DIRECTIONS:
             kinds = [kind for kind in CANDIDATES if kind != "line" or not is_no_line]
             found = yield from self._fits.steps(kinds, rows, mean, inflation)
             direct = without_nlos(rows, list(found.values()))
@@ -151,7 +131,8 @@ class AntennaCheck:
                 found = yield from self._fits.steps(kinds, direct, mean, inflation)
             if self.hypothesis in found:
                 has_ranges = not np.isnan(rows[:, VALUES + RANGE]).all()
-                self._judge(found, DECISION_LOG_ODDS if has_ranges else BEARINGS_ONLY_LOG_ODDS)
+                # chosen: without ranges each antenna finds a position that suits it
+                self._judge(found, (1.0 if has_ranges else 4.0) * DECISION_LOG_ODDS)
         return self.hypothesis != before
 
     @Stepwise
@@ -231,11 +212,13 @@ class ConfiguredAntennaCheck:
     def look(self, scores: Scores, time_s: float) -> None:
         """Process the directions' residuals at the estimated position."""
         directions = [scores.u[row][scores.is_measured[row]] for row in (BEARING, ELEVATION)]
-        off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_CONTRADICTING]
-        if max(off, default=0.0) > CONTRADICTED_SIGMAS:
+        off = [float(np.median(np.abs(u))) for u in directions if len(u) >= MIN_DIRECTIONS]
+        # sigma; white errors have a median of 0.67; apart, so that it does not change all the time
+        contradicted, cleared, lasting_s = 4.0, 2.0, 10.0
+        if max(off, default=0.0) > contradicted:
             self._since_s = min(self._since_s, time_s)
-            self.is_contradicted = time_s - self._since_s >= CONTRADICTED_FOR_S
-        elif max(off, default=0.0) < CLEARED_SIGMAS:
+            self.is_contradicted = time_s - self._since_s >= lasting_s
+        elif max(off, default=0.0) < cleared:
             self._since_s, self.is_contradicted = math.inf, False
 
 
@@ -258,8 +241,9 @@ def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
 
     None: there are none, or too few others for a comparison.
     """
-    is_long = np.any([each.excess > NLOS_SIGMAS for each in found], axis=0)
-    if not is_long.any() or np.count_nonzero(~is_long) < MIN_BEARINGS:
+    nlos = 2.0  # sigma; chosen: noise alone exceeds it once in 44, and that costs a bearing
+    is_long = np.any([each.excess > nlos for each in found], axis=0)
+    if not is_long.any() or np.count_nonzero(~is_long) < MIN_DIRECTIONS:
         return None
     direct = np.array(rows)
     bearings: Vector = direct[:, VALUES + BEARING]
@@ -270,12 +254,12 @@ def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
 def grows_with_steepness(azimuth: AntennaFit) -> bool:
     """Return True if an azimuth's errors grow with steepness, by rank; not so around an edge."""
     off_rad = azimuth.error * azimuth.spread_rad
-    is_steep = azimuth.rise_rad > STEEP_RAD
+    is_steep = azimuth.rise_rad > math.radians(45.0)  # below the horizon
     steep, level = off_rad[is_steep], off_rad[~is_steep]
-    if min(len(steep), len(level)) < MIN_STEEP:
+    if min(len(steep), len(level)) < 8:  # by chance the share of so many exceeds 0.6 once in four
         return False
     share = float(np.mean(steep[:, None] > level[None, :]))  # 0.5 by chance (Mann and Whitney)
-    return share > WORSE_SHARE
+    return share > 0.6
 
 
 def is_significant(before: AntennaFit, better: AntennaFit, log_odds: float) -> bool:
@@ -289,4 +273,4 @@ def is_significant(before: AntennaFit, better: AntennaFit, log_odds: float) -> b
         return False
     noise = (better.spread_rad / before.spread_rad - 1.0) * (better.error - 1.0)
     scatter2 = float(long_run_variance(noise[:, None])[0, 0])
-    return gain > DECISION_SIGMAS * math.sqrt(max(scatter2, 0.0))
+    return gain > 3.0 * math.sqrt(max(scatter2, 0.0))  # by chance once in 700

@@ -69,12 +69,8 @@ from companion.estimation.window.window_map import (
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
-SECTORS = 16
-"""Sectors of the direction of view, for thinning."""
-NEAREST_RING_M = 1.0
-"""Radius of the innermost ring of views; each further ring is twice as far."""
 KEPT_SHARE = 0.95
-"""Share to which a full window is thinned."""
+"""Share to which a full window is thinned: less drops more at once, more thins more often."""
 
 
 class MeasurementWindow:
@@ -115,9 +111,11 @@ class MeasurementWindow:
 def kept_by_thinning(rows: Matrix, target: int, centre: Point) -> NDArray[np.bool_]:
     """Return which rows stay, (n,), at most `target`: fewer where sector and distance are alike."""
     east, north = rows[:, 0] - centre[0], rows[:, 1] - centre[1]
-    sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * SECTORS) % SECTORS
-    ring = np.floor(np.log2(np.maximum(np.hypot(east, north) / NEAREST_RING_M, 1.0)))
-    _, view, counts = np.unique(ring * SECTORS + sector, return_inverse=True, return_counts=True)
+    sectors = 16  # chosen: wider ones mix views that differ, narrower ones hold single rows
+    sector = np.floor((np.arctan2(north, east) / (2.0 * math.pi) + 0.5) * sectors) % sectors
+    # the innermost ring is 1 m wide, each further one twice as far
+    ring = np.floor(np.log2(np.maximum(np.hypot(east, north), 1.0)))
+    _, view, counts = np.unique(ring * sectors + sector, return_inverse=True, return_counts=True)
     cap = int(counts.max())
     while cap > 1 and int(np.minimum(counts, cap).sum()) > target:
         cap -= 1
@@ -142,24 +140,9 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
 
 
 MAX_STARTS_KEPT = 4
-"""Hypotheses that start a solution of the window."""
-UNSETTLED_STARTS, SETTLED_STARTS = 4, 1
-"""Fresh starts per solution, before and after the track is settled."""
-SETTLED_COUNT = 300
-"""Measurements from which a single hypothesis is settled: 12 full solutions of 25 measurements."""
-EARLY_SHARE = 0.1
-"""Growth of the window at which it is solved early on."""
-VAGUE_COVARIANCE_M2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)
-"""Minimum covariance of a hypothesis while the window has no acceptable optimum."""
-NEAREST_START_M = 4.0
-"""Distance of the nearest fresh start without a range."""
+"""Most hypotheses that start a solution of the window: each costs a descent."""
 SHARED_PASSES = 8
 """Passes over the measurements, as measured, for the effect of shared errors."""
-CONTRADICTING_SHARE = 0.5
-"""Share of a full window from which it may contradict older evidence."""
-CONTRADICTED_DISTANCE2 = 16.0
-"""Squared Mahalanobis distance of the solution without the prior above which the prior is
-rejected."""
 
 
 def strongest(rows: Matrix) -> NDArray[np.intp]:
@@ -176,15 +159,13 @@ def start_around(rows: Matrix, direction_rad: float, spread: int, params: Filter
     east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
     ranges = rows[:, VALUES + RANGE]
     ranges = ranges[~np.isnan(ranges)]
+    distance_m = 4.0 * 3.0 ** (spread % 3)  # chosen: 4, 12 and 36 m, for a descent from both sides
     if ranges.size:
         rise_m = up - params.target_height_m
         distance_m = math.sqrt(max(float(np.median(ranges)) ** 2 - rise_m**2, 1.0))
     elif params.model.power_index >= 0 and has_any(rows, POWER):
         strong = strongest(rows)
         east, north = rows[strong, 0].mean(), rows[strong, 1].mean()
-        distance_m = NEAREST_START_M * 3.0 ** (spread % 3)
-    else:
-        distance_m = NEAREST_START_M * 3.0 ** (spread % 3)
     start = np.array(params.prior[0])
     start[0] = east + distance_m * math.cos(direction_rad)
     start[1] = north + distance_m * math.sin(direction_rad)
@@ -285,7 +266,7 @@ class WindowOptimizer:
         `inflation` is the measured one, and `is_white` means that innovations are uncorrelated.
         `fresh_starts` are added to the hypotheses; None leaves their number to the evidence.
         """
-        grown = max(1, int(EARLY_SHARE * accepted))
+        grown = max(1, int(0.1 * accepted))  # chosen: early on, when by a tenth
         if self._params.enabled:
             self.due_at = accepted + min(self._params.every, grown)
         if len(self.window.rows) < MIN_MEASUREMENTS or not hypotheses:
@@ -304,7 +285,8 @@ class WindowOptimizer:
             minima = yield from self.map.minima.steps(self.rows, starts, self._older)
         optima = yield from self._optima.steps(minima, starts[:kept], is_white=is_white)
         if not optima:
-            return tuple(replace(h, least_covariance_m2=VAGUE_COVARIANCE_M2) for h in hypotheses)
+            vague_m2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)  # what an optimum would have to beat
+            return tuple(replace(h, least_covariance_m2=vague_m2) for h in hypotheses)
         self.noise = optima[0].noise
         following = []
         own_sigma_m = self._filter_params.model.own_sigma_m
@@ -401,8 +383,9 @@ class WindowOptimizer:
         if accepted < self._fresh_at:
             return 0
         self._fresh_at = accepted + self._params.every
-        is_settled = hypotheses == 1 and accepted > SETTLED_COUNT
-        return SETTLED_STARTS if is_settled else UNSETTLED_STARTS
+        # 300 are 12 full solutions of 25 measurements, with 48 starts: every direction four times
+        is_settled = hypotheses == 1 and accepted > 300
+        return 1 if is_settled else 4
 
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
         """Return the hypotheses, the best one's mirror image, and positions around the path."""
@@ -434,11 +417,12 @@ class WindowOptimizer:
     @Stepwise
     def _is_contradicted(self, best: Vector) -> Steps[bool]:
         """Return True if the window, once full enough, contradicts the older evidence."""
-        if len(self.window.rows) < CONTRADICTING_SHARE * self._params.size:
+        # chosen: a half full; of less the solution alone is too vague to contradict anything
+        if len(self.window.rows) < 0.5 * self._params.size:
             return False
         alone = yield from self.map.optima.steps(self.rows, [best])
         if not alone:
             return False
         difference = alone[0].mean[:2] - best[:2]
         spread = alone[0].covariance[:2, :2]
-        return float(difference @ np.linalg.solve(spread, difference)) > CONTRADICTED_DISTANCE2
+        return float(difference @ np.linalg.solve(spread, difference)) > 4.0**2  # 4 sigma

@@ -36,6 +36,7 @@ import numpy.ma  # the first np.median would load it: 30 ms that a flight must n
 
 from companion.domain import Params
 from companion.estimation.filters.target_filter import FilterParams, Inflation
+from companion.estimation.innovations import GATE_SIGMAS
 from companion.estimation.measurement_model import (
     BEARING,
     BEARING_OFFSET,
@@ -86,27 +87,15 @@ from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
 MAX_POSITION_SIGMA_M = 200.0
-"""Optima with a larger position sigma are rejected."""
-FARTHEST_M = 1e6
-"""Distance at which a solution has diverged, as with parallel bearings."""
-GROSS_SIGMAS = 6.0
-"""Short ranges and bearings that are off by more are gross errors."""
-MAX_BEARING_NOISE = 4.0
-"""Limit of the bearing inflation (a variance) in that test: reflections widen bearings by no
-more."""
-BEND_PASSES = 4
-"""Passes over the measurements for one covariance: scores, curvature and variabilities."""
-MAX_BENDS, BENT_RATIO = 6, 1.1
-"""Most iterations that discount bearings near a vague position, and the growth of its variance at
-which they end."""
+"""Standard deviation of a position above which an optimum is rejected, and that of a target within
+the reach of an unknown radio.
+
+Chosen: of radios that reach some hundred metres; a larger one keeps places without any evidence.
+"""
 STEP_ITERATIONS = 4
-"""Iterations of a solution between two interruptions."""
-STIFFNESS = 1e6
-"""Information of the prior that fixes a position in one direction, 1/m^2."""
-CHANGED_WEIGHT_LOG_RATIO = 0.2
-"""Change of a weight, as a log ratio, above which the window is solved again."""
+"""Iterations of a solution between two interruptions: fewer return sooner, more cost less."""
 SAME_PLACE_M = 0.3
-"""Distance below which two optima are the same."""
+"""Distance below which two optima are the same: far below any R95, far above a solution's end."""
 
 Minima = list[tuple[float, Vector]]
 """Costs and states (k,) of local minima, the least first."""
@@ -167,7 +156,7 @@ class WindowMap:
             range_share=shares[RANGE], direction_share=shares[BEARING]
         )
         return any(
-            abs(math.log(now / then)) > CHANGED_WEIGHT_LOG_RATIO
+            abs(math.log(now / then)) > 0.2  # chosen: by less, the minimum hardly moves
             for now, then in zip(shares[:2], before, strict=True)
         )
 
@@ -244,7 +233,8 @@ class WindowMap:
             yield passes(count, len(rows))
             if is_over:
                 break
-        if not np.isfinite(mean).all() or np.abs(mean[:2]).max() > FARTHEST_M:
+        farthest_m = 1e6  # no radio reaches that far: it has diverged, as with parallel bearings
+        if not np.isfinite(mean).all() or np.abs(mean[:2]).max() > farthest_m:
             return None
         cost = self._cost(rows, mean, older)
         return (mean, cost) if math.isfinite(cost) else None
@@ -286,14 +276,13 @@ class WindowMap:
         scores = self.scores(rows, mean)
         u = scores.u
         impossible = {
-            row: side * u[row] < -GROSS_SIGMAS
-            for row, side in POSSIBLE_SIDE.items()
-            if row < len(u)
+            row: side * u[row] < -GATE_SIGMAS for row, side in POSSIBLE_SIDE.items() if row < len(u)
         }
         is_off = np.zeros(len(rows), dtype=bool)
         for row in self._directions:
-            noise = min(max(1.0, scores.inflation(row, len(mean))), MAX_BEARING_NOISE)
-            is_off |= np.abs(u[row]) > GROSS_SIGMAS * math.sqrt(noise)
+            # a variance; reflections widen bearings by no more
+            noise = min(max(1.0, scores.inflation(row, len(mean))), 4.0)
+            is_off |= np.abs(u[row]) > GATE_SIGMAS * math.sqrt(noise)
         count = int(np.sum(np.any([*impossible.values(), is_off], axis=0)))
         if not 0 < count <= len(rows) // 2:
             return None
@@ -312,7 +301,7 @@ class WindowMap:
         axis = np.zeros(self.size)
         axis[:2] = away / max(float(np.hypot(*away)), 1e-9)
         stiff = OlderEvidence.none(self.size)
-        held = STIFFNESS * np.outer(axis, axis)
+        held = 1e6 * np.outer(axis, axis)  # 1/m^2: it stays within a millimetre
         if older is not None:
             stiff = older
         stiff = replace(stiff, information=stiff.information + held, pull=stiff.pull + held @ at)
@@ -367,24 +356,25 @@ class WindowMap:
         The larger of the white and the correlated covariance is used, unless residuals are known to
         be white: where correlation in a short window seems to improve an estimate, it is chance.
         """
+        pass_count = 4  # for one covariance: scores, curvature and variabilities
         try:
             covariance, A, B = self._sandwich(rows, scores, older, is_white)
             inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
             spread_m2 = float(np.trace(covariance[:2, :2]))
             has_directions = any(scores.counts[row] for row in self._directions)
-            for _ in range(MAX_BENDS if has_directions else 0):
-                yield passes(BEND_PASSES, len(rows))
+            for _ in range(6 if has_directions else 0):  # chosen: each costs a covariance
+                yield passes(pass_count, len(rows))
                 bent = self.scores(rows, mean, spread_m2)
                 covariance, A, _ = self._sandwich(rows, bent, older, is_white)
                 before_m2, spread_m2 = spread_m2, float(np.trace(covariance[:2, :2]))
-                if spread_m2 <= BENT_RATIO * before_m2:
+                if spread_m2 <= 1.1 * before_m2:  # a sigma by less than 5 %
                     break
         except np.linalg.LinAlgError:
             return None
         cost_at, profiled = partial(self._cost, rows, older=older), None
         if not is_all_white(self.spatial_noise):
             profiled = partial(self._profiled_cost, rows, mean, older=older)
-        yield passes(BEND_PASSES, len(rows))
+        yield passes(pass_count, len(rows))
         covariance = yield from stretch_covariance(
             covariance, A, mean, cost_at, profiled, worth=passes(2, len(rows))
         )
