@@ -13,8 +13,6 @@ import numpy as np
 
 from companion.kernel import IS_COMPILED, kernel
 
-TURN_RAD = 2.0 * math.pi
-
 
 def _components(array: Any) -> Any:
     return array.tolist() if array.ndim == 1 else array
@@ -59,4 +57,4 @@ whole: Any = np.floor if IS_COMPILED else _whole
 @kernel
 def wrapped(angle_rad: Any) -> Any:
     """Return the same direction in [-pi, pi)."""
-    return angle_rad - TURN_RAD * whole(angle_rad / TURN_RAD + 0.5)
+    return angle_rad - math.tau * whole(angle_rad / math.tau + 0.5)

@@ -32,24 +32,15 @@ MIN_AXIS_RATIO = 4e-3
 """Lower limit of an ellipse's variance ratio; R95 differs by under 0.1 %."""
 LOG_OUTSIDE = math.log(0.05)
 """Log of the probability outside R95."""
-R95_START = 0.5 * 1.9**2
-"""Start of the search for R95, in R^2 / 2: less than that of the narrowest ellipse (1.96 sigma)."""
-R95_TOLERANCE = 1e-12
-"""Step of R^2 / 2, in units of the larger variance, at which the search ends: rounding."""
-R95_MAX_STEPS = 20
-"""Newton steps at most; four suffice for every ellipse."""
+_COS2, _SIN2 = (ratio((np.arange(64) + 0.5) * (math.pi / 128.0)) ** 2 for ratio in (np.cos, np.sin))
+"""Squared cosines and sines at the midpoints of 64 equal parts of a quarter turn, which hold by
+symmetry for the whole turn."""
 
-_BOTH_AXES = np.eye(2)
-"""Unit covariance (2, 2)."""
-_PHI_RAD = (np.arange(64) + 0.5) * (math.pi / 128.0)
-"""Midpoints of 64 equal parts of a quarter turn, which hold by symmetry for the whole turn."""
-_COS2, _SIN2 = np.cos(_PHI_RAD) ** 2, np.sin(_PHI_RAD) ** 2
-"""Squared cosines and sines of those directions."""
-
-LEAST_ASIDE_M = 10.0
-"""Shortest detour that is asked for; shorter ones do not separate mirror images."""
 MAX_AMBIGUOUS = 3
-"""With more distinct positions than this the state is searching, not ambiguous."""
+"""Most distinct positions of an ambiguous state; with more of them it is searching.
+
+Chosen: fewer call a search what a detour would resolve, more call a ring of places ambiguous.
+"""
 
 
 def estimate_of(
@@ -81,7 +72,7 @@ def estimate_of(
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
     (a, b), (_, c) = covariances[0].tolist()
-    on_earth = [covariance + own.effective_m**2 * _BOTH_AXES for covariance in covariances]
+    on_earth = [covariance + own.effective_m**2 * np.eye(2) for covariance in covariances]
     return TargetEstimate(
         time_s=now_s,
         state=state,
@@ -132,7 +123,8 @@ def aside_of_m(estimate: TargetEstimate) -> float | None:
     other = estimate.alternative_enu_m
     if other is None:
         return None
-    return max(LEAST_ASIDE_M, 0.25 * math.dist(estimate.position_enu_m, other))
+    least_m = 10.0  # chosen: the errors of ranges hide the difference of a shorter way
+    return max(least_m, 0.25 * math.dist(estimate.position_enu_m, other))
 
 
 def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix:
@@ -144,7 +136,7 @@ def position_covariance_m2(hypothesis: Hypothesis, own_sigma_m: float) -> Matrix
     least = hypothesis.least_covariance_m2
     if least is not None and least[0, 0] + least[1, 1] > covariance[0, 0] + covariance[1, 1]:
         covariance = least
-    total: Matrix = covariance + own_sigma_m * own_sigma_m * _BOTH_AXES
+    total: Matrix = covariance + own_sigma_m * own_sigma_m * np.eye(2)
     return total
 
 
@@ -211,13 +203,13 @@ def _radius_m(ratio: float, high: float) -> float:
     q = _COS2 + _SIN2 / ratio
     share = 1.0 / q
     share /= share.sum()
-    half_square = R95_START
-    for _ in range(R95_MAX_STEPS):
+    half_square = 0.5 * 1.9**2  # below that of the narrowest ellipse, 1.96 sigma
+    for _ in range(20):  # at most; four suffice for every ellipse
         outside = share * np.exp(-half_square * q)
         total = outside.sum()
         step = (math.log(total) - LOG_OUTSIDE) * total / (outside * q).sum()
         half_square += step
-        if step < R95_TOLERANCE:
+        if step < 1e-12:  # in units of the larger variance: rounding
             break
     return math.sqrt(2.0 * half_square * high)
 

@@ -43,42 +43,28 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 SPANS_S = (10.0, 20.0, 40.0)
-"""Spans that are tested: short ones for a target that turns soon, long ones for a slow one."""
-LEAST_SPAN_S = 8.0
-"""Shorter spans are not tested."""
-MIN_COUNT, MAX_COUNT = 20, 512
-"""Fewest measurements in a test, and most that are kept."""
-EVERY_S, EVERY_COUNT = 1.0, 5
-"""Least time and least number of measurements between two tests."""
+"""Spans that are tested, s: short ones for a target that turns soon, long ones for a slow one."""
+EVERY_S = 1.0
+"""Least time between two tests, s: less costs more, more reports a motion later."""
 IDLE_EVERY_COUNT = 10
-"""Measurements between two tests while nothing indicates motion."""
-TESTED_R95_RATIO = 3.0
-"""R95 over the localised R95 up to which the target is tested."""
+"""Measurements between two tests while nothing indicates motion; else they are half as many.
+
+Chosen: fewer cost more, more suspect a motion later.
+"""
 SIGNIFICANT_CHI2 = 60.0
 """Statistic of a significant motion: ten times the 95 % quantile of chi-square with 2 degrees of
 freedom, because errors that persist for half a minute or depend on the position occasionally reach
 55."""
-LOST_SIGNIFICANT_CHI2 = 180.0
-"""The same for a target whose position was known and is no longer: reflections can do that as
-well."""
 CONFIRMING_TESTS = 2
-"""Consecutive significant tests that confirm a motion."""
-CLEARED_CHI2 = 18.4
-"""Statistic below which nothing indicates motion: probability 1e-4 for a stationary target."""
+"""Consecutive significant tests that confirm a motion.
+
+Chosen: one may be an error that lasts a second, more report a motion later.
+"""
 CLEARED_COUNT = 10
-"""Consecutive tests below that level that end a reported motion."""
-SCREENING_CHI2 = 9.2
-"""Statistic of a first step (probability 0.01) below which the second fit is skipped."""
-MAX_SPEED_MPS = 3.0
-"""Prior standard deviation of each component of the velocity."""
-MAX_ITERATIONS = 12
-"""Gauss-Newton steps of a fit at most: it starts at the optimum of the stationary target."""
-MAX_HALVINGS = 6
-"""Dampings, each eight times the one before, that are tried in one step."""
-STEP_TOLERANCE_M = 5e-3
-"""Step of the position at which a fit ends: far below any R95."""
-SCORES_PASSES, COVARIANCE_PASSES = 2, 10
-"""Passes over the measurements, as measured, for one linearisation and for one covariance."""
+"""Consecutive tests without any sign of motion that end a reported one.
+
+Chosen: fewer end a report while the target pauses, more keep it when it has stopped.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +86,13 @@ class MotionWatch:
 
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
-        self._near_m = TESTED_R95_RATIO * localised_r95_m
-        self.fresh: deque[Vector] = deque(maxlen=MAX_COUNT)
+        self._near_m = 3.0 * localised_r95_m
+        """R95 up to which the target is tested; chosen: of vaguer ones a velocity shows nothing."""
+        most = 512  # a longest span of 40 s at 12 Hz, and as many as a window has
+        self.fresh: deque[Vector] = deque(maxlen=most)
         """Measurements since the test was last due by time, in rows of `map_kernels` that have
         their time in place of the sequence number."""
-        self._rows: deque[Vector] = deque(maxlen=MAX_COUNT)
+        self._rows: deque[Vector] = deque(maxlen=most)
         self.due_s = -math.inf
         """Time of the next test, if enough measurements were made until then."""
         self._left = 0
@@ -144,7 +132,7 @@ class MotionWatch:
         self._take_fresh()
         if self._rows:
             rows = shift_rows(np.array(self._rows), shift_en_m, step, params)
-            self._rows = deque(rows, maxlen=MAX_COUNT)
+            self._rows = deque(rows, maxlen=self._rows.maxlen)
 
     def is_due(self, now_s: float) -> bool:
         """Return True if the next test is due."""
@@ -159,21 +147,24 @@ class MotionWatch:
 
         A target whose position was known, and is lost, may have moved.
         """
-        self.due_s, self._left = now_s + EVERY_S, EVERY_COUNT
+        every_count = IDLE_EVERY_COUNT // 2
+        self.due_s, self._left = now_s + EVERY_S, every_count
         is_near = r95_m <= self._near_m
         self._was_near = self._was_near or is_near
         if self.suspected is None and not self._was_near:
             return
         found = yield from self._likeliest_motion.steps(window_map, mean)
-        least = SIGNIFICANT_CHI2 if is_near or self.suspected is not None else LOST_SIGNIFICANT_CHI2
+        # a position that was known may be lost because of reflections as well
+        is_sure = is_near or self.suspected is not None
+        least = (1.0 if is_sure else 3.0) * SIGNIFICANT_CHI2
         if found is not None and found.significance >= least:
             self.suspected = found
             self._significant += 1
             self._cleared = 0
             self._is_confirmed = self._is_confirmed or self._significant >= CONFIRMING_TESTS
             return
-        is_clear = found is None or found.significance < CLEARED_CHI2
-        self._left = IDLE_EVERY_COUNT if is_clear else EVERY_COUNT
+        is_clear = found is None or found.significance < 18.4  # 1e-4 for a stationary target
+        self._left = IDLE_EVERY_COUNT if is_clear else every_count
         self._cleared = self._cleared + 1 if is_clear else 0
         self._significant = 0
         if not self._is_confirmed or self._cleared >= CLEARED_COUNT:
@@ -185,10 +176,11 @@ class MotionWatch:
         rows = rows[np.argsort(rows[:, SEQUENCE], kind="stable")]
         times_s = rows[:, SEQUENCE]
         begins = np.searchsorted(times_s, times_s[-1] - np.array(SPANS_S)).tolist()
+        least, least_s = 20, 8.0  # chosen: of fewer, or in less time, an order of errors is chance
         return [
             rows[begin:]
             for begin in sorted(set(begins), reverse=True)
-            if len(rows) - begin >= MIN_COUNT and times_s[-1] - times_s[begin] >= LEAST_SPAN_S
+            if len(rows) - begin >= least and times_s[-1] - times_s[begin] >= least_s
         ]
 
     @Stepwise
@@ -215,7 +207,7 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
     try:
         with np.errstate(all="ignore"):
             is_promising = fit.is_promising(place)
-        yield passes(COVARIANCE_PASSES, len(rows))
+        yield passes(10, len(rows))  # as measured, for a covariance
         if not is_promising:
             return None
         moving = yield from fit.minimum(np.concatenate([mean, np.zeros(2)]))
@@ -248,7 +240,8 @@ class _MotionFit:
         self._age_s = rows[:, SEQUENCE] - rows[:, SEQUENCE].max()
         information, pull = window_map.prior
         size = len(pull)
-        self._information = np.diag(np.full(size + 2, MAX_SPEED_MPS**-2))
+        sigma_mps = 3.0  # of each component of the velocity; chosen: up to a run
+        self._information = np.diag(np.full(size + 2, sigma_mps**-2))
         self._information[:size, :size] = information
         self._pull = np.concatenate([pull, np.zeros(2)])
         free = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
@@ -275,15 +268,15 @@ class _MotionFit:
         """Return the minimum that damped re-weighted Gauss-Newton steps reach."""
         with np.errstate(all="ignore"):
             at, damping = self._at(state), 1e-3
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(12):  # few: it starts at the optimum of the stationary target
             with np.errstate(all="ignore"):
                 moved, damping, tries = self._moved(at, damping)
-            yield passes(SCORES_PASSES * tries, len(self._rows))
+            yield passes(2 * tries, len(self._rows))  # as measured, for a linearisation
             if moved is None:
                 break
             step_m = math.dist(moved.state[:2], at.state[:2])
             at = moved
-            if step_m < STEP_TOLERANCE_M:
+            if step_m < 5e-3:  # far below any R95
                 break
         return at.state
 
@@ -296,7 +289,8 @@ class _MotionFit:
         A, descent = self._system(at.scores, at.state)
         hold_at_bounds(A, descent, at.state, self._bounds)
         scale = np.diag(np.diag(A) + 1e-9)
-        for tries in range(1, MAX_HALVINGS + 1):
+        most = 6  # dampings, each eight times the one before; chosen: each costs a linearisation
+        for tries in range(1, most + 1):
             step = np.linalg.solve(A + damping * scale, descent)
             moved = self._at(
                 np.minimum(np.maximum(at.state + step, self._bounds[0]), self._bounds[1])
@@ -304,7 +298,7 @@ class _MotionFit:
             if moved.cost < at.cost:
                 return moved, max(damping / 4.0, 1e-9), tries
             damping *= 8.0
-        return None, damping, MAX_HALVINGS
+        return None, damping, most
 
     def _system(self, scores: Scores, state: Vector) -> tuple[Matrix, Vector]:
         u, psi = scores.u.reshape(-1), scores.psi.reshape(-1)
@@ -325,7 +319,8 @@ class _MotionFit:
 
         def is_significant(variability: Matrix) -> bool:
             covariance = last @ (variability + self._information) @ last.T
-            return float(velocity @ np.linalg.solve(covariance, velocity)) >= SCREENING_CHI2
+            chi2 = float(velocity @ np.linalg.solve(covariance, velocity))
+            return chi2 >= 9.2  # 0.01 for a stationary target
 
         # this lower bound nearly always suffices to decline, at half the cost
         if not is_significant(least_variability(scores)):

@@ -55,17 +55,13 @@ POWER_VALUE, POWER_SIGMA, POWER_WEIGHT = -3, -2, -1
 """Number and positions of the columns of power, counted from the end."""
 
 MAX_ITERATIONS = 25
-"""Gauss-Newton steps of a solution at most."""
-STEP_TOLERANCE_M = 1e-4
-"""Step of the position at which a solution ends, metres."""
-GAIN_TOLERANCE = 1e-6
-"""Decrease of the cost by an undamped step at which a solution ends: a thousandth of a sigma."""
+"""Gauss-Newton steps of a solution at most.
+
+Chosen: the steps of one solution bound its time; what has not ended by then starts again from there
+with the next one.
+"""
 DAMPING_START = 1e-3
-"""Initial damping, relative to the diagonal."""
-DAMPING_MAX = 1e8
-"""Damping at which no step lowers the cost: steps are then as good as zero."""
-MIN_CURVATURE_RATIO = 1e-3
-"""Lower limit of the damping scale of one horizontal axis, as a share of the other one's."""
+"""Initial damping, relative to the diagonal: hardly any; it grows where a step gains nothing."""
 
 
 def argument_columns(model: RangingModel) -> tuple[list[int], list[int], list[int]]:
@@ -323,11 +319,11 @@ def map_step(
     A, descent, cost = normal_equations(rows, mean, y, sigmas, thresholds, information, pull, model)
     hold_at_bounds(A, descent, mean, bounds)
     scale = np.diag(np.diag(A) + 1e-9)
-    # across a straight track the curvature is zero
-    floor = MIN_CURVATURE_RATIO * max(A[0, 0], A[1, 1])
+    # across a straight track the curvature is zero: damp it by a share of that along the track
+    floor = 1e-3 * max(A[0, 0], A[1, 1])
     scale[0, 0], scale[1, 1] = max(scale[0, 0], floor), max(scale[1, 1], floor)
     tries = 0
-    while damping < DAMPING_MAX:
+    while damping < 1e8:  # steps are then as good as zero
         tries += 1
         moved = mean + np.linalg.solve(A + damping * scale, descent)
         moved = np.minimum(np.maximum(moved, bounds[0]), bounds[1])
@@ -367,8 +363,9 @@ def map_descent(
         passes += 1 + tries
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
         mean = moved
-        is_level = gain < GAIN_TOLERANCE and damping < DAMPING_START
-        if is_level or step_m < STEP_TOLERANCE_M:
+        # an undamped step gains less than a thousandth of a sigma, or any is far below every R95
+        is_level = gain < 1e-6 and damping < DAMPING_START
+        if is_level or step_m < 1e-4:
             return mean, damping, passes, True
     return mean, damping, passes, False
 

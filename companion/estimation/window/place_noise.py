@@ -38,14 +38,9 @@ LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Correlation lengths of the grid, in units of the prior one."""
 AMPLITUDES = (0.1, 0.25, 0.5, 0.8, 1.2, 1.8)
 """Deviations of the grid, in units of the prior one."""
-LENGTH_PRIOR_SIGMA, AMPLITUDE_PRIOR_SIGMA = 1.5, 1.0
-"""Standard deviations of the priors of length and deviation, in factors of two."""
-MOST_CELLS = 32
-"""Most cells of the track: the cost grows with the third power."""
 CELL_SHARE = 0.125
-"""Length of a cell as a share of the correlation length, if that leaves few enough."""
-WHITE_COUNT = 4.0
-"""Weight of the prior of the white noise, in measurements."""
+"""Length of a cell as a share of the correlation length, if that leaves few enough: within a cell
+the correlation is 0.88 or more."""
 
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
@@ -149,7 +144,8 @@ def fit_spatial_noise(
     y, centres, X = mean[:, 0], mean[:, 1:3], mean[:, 3:]
     scatter = float(np.sum((psi[seen] - y[index]) ** 2))
     degrees = len(index) - len(count)
-    white = (scatter + WHITE_COUNT * prior_noise.deviation**2) / (degrees + WHITE_COUNT)
+    count_0 = 4.0  # weight of the prior, in measurements; chosen: it decides where few share a cell
+    white = (scatter + count_0 * prior_noise.deviation**2) / (degrees + count_0)
     apart = np.stack(
         [
             np.hypot(*(centres[:, None, :] - centres[None, :, :]).T),
@@ -173,8 +169,10 @@ def _log_prior(prior_noise: SpatialPrior) -> Vector:
     """Return the log prior of every length and deviation of the grid, (m,)."""
     if not prior_noise.is_of_radio:
         return np.zeros(2 * len(LENGTHS) * len(AMPLITUDES))
+    # in factors of two; chosen: a length is known worse than a deviation
+    length_sigma, amplitude_sigma = 1.5, 1.0
     deviations2 = [
-        (math.log2(a) / LENGTH_PRIOR_SIGMA) ** 2 + (math.log2(b) / AMPLITUDE_PRIOR_SIGMA) ** 2
+        (math.log2(a) / length_sigma) ** 2 + (math.log2(b) / amplitude_sigma) ** 2
         for a in LENGTHS
         for b in AMPLITUDES
     ]
@@ -188,17 +186,18 @@ def cells_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
     stays within one; cells are as long as needed to be few enough.
     """
     points = places.tolist()
+    most = 32  # the cost grows with the third power
     while True:
         index, ways_m, begin = [0] * len(points), [0.0], points[0]
         for i, point in enumerate(points):
             step_m = math.dist(point, begin)
             if step_m >= least_m:
                 ways_m.append(ways_m[-1] + step_m)
-                if len(ways_m) > MOST_CELLS:
+                if len(ways_m) > most:
                     break
                 begin = point
             index[i] = len(ways_m) - 1
-        if len(ways_m) <= MOST_CELLS:
+        if len(ways_m) <= most:
             return np.array(index), np.array(ways_m)
         least_m *= 1.5
 
