@@ -62,8 +62,9 @@ def estimate_of(
     ]
     settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
     if shared.wander.any():
+        drift = shared.drift_m2(model.own_sigma_m)
         covariances = [
-            shared.within_reach(covariance + shared.wander, h.place_enu_m)
+            shared.within_reach(covariance + drift, h.place_enu_m)
             for covariance, h in zip(covariances, hypotheses, strict=True)
         ]
         r95_m = max(settled_m, _r95_m(hypotheses, weights, covariances))

@@ -112,6 +112,15 @@ class SharedErrors(NamedTuple):
         """Return the position error, m, per axis, besides the drift: both are the same error."""
         return 0.0 if self.wander.any() else configured_m
 
+    def drift_m2(self, configured_m: float) -> Matrix:
+        """Return the covariance of the position drift, (2, 2), nowhere less than configured.
+
+        `configured_m` is its standard deviation per axis, by which the same error is assumed.
+        """
+        values, vectors = np.linalg.eigh(self.wander)
+        drift: Matrix = (vectors * np.maximum(values, configured_m**2)) @ vectors.T
+        return drift
+
     def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
         """Return a position covariance (2, 2), limited in every direction by the radio's reach.
 

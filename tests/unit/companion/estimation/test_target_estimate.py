@@ -197,6 +197,8 @@ def test_drift_of_the_vehicle_position_counts_once_and_not_in_what_stops_the_sea
     assert still.settled_r95_m == still.r95_m
     assert wandering.settled_r95_m == pytest.approx(R95_OF_EQUAL_AXES * 0.4)
     assert wandering.state is still.state
+    at_least = _told(_hypothesis(), wander_m=0.1)  # configured are 0.3 m
+    assert at_least.r95_m == pytest.approx(R95_OF_EQUAL_AXES * 0.5)
     sigma_m = math.hypot(0.4, 0.6)
     assert wandering.r95_m == pytest.approx(R95_OF_EQUAL_AXES * sigma_m)
     assert wandering.absolute_r95_m >= wandering.r95_m
