@@ -200,9 +200,15 @@ def log_likelihood(
 
 
 NOISE_FORGETTING = 1.0 - 1.0 / 300.0
-"""Forgetting factor of the noise monitor: a memory of 300 measurements."""
+"""Forgetting factor of the noise monitor: a memory of 300 measurements.
+
+Chosen: a longer one knows the noise better, and follows it later.
+"""
 PRIOR_COUNT = 8.0
-"""Weight of the monitor's prior, in measurements."""
+"""Weight of the monitor's prior, in measurements.
+
+Chosen: less lets the first innovations decide, more delays what they show.
+"""
 MAX_INFLATION = 400.0
 """Upper limit of the inflation of a variance: 20 times the thermal sigma.
 
@@ -212,7 +218,8 @@ most paths are reflected.
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
 MAX_PRIOR_SHARE = 1.0
-"""Largest share of the state's own uncertainty in an innovation from which noise is learnt."""
+"""Largest share of the state's own uncertainty, a ratio of variances, in an innovation from which
+noise is learnt: above it the innovation is mostly the state's."""
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.window.sandwich import MIN_MEASUREMENTS
 from companion.geometry.coordinates import wrap_pi
 from companion.kernel import Matrix, Vector
 
@@ -77,8 +78,8 @@ CHANGED_RATIO = 5.0
 Chosen: far below the least factor of a unit, 57; a smaller ratio drops ranges that changed because
 the vehicle moved.
 """
-RANGES = Sampling(span_s=3.0, least=12, most=48, every=8, changed_ratio=CHANGED_RATIO)
-"""A vehicle at 3 m/s moves by 9 m in that span."""
+RANGES = Sampling(span_s=3.0, least=MIN_MEASUREMENTS, most=48, every=8, changed_ratio=CHANGED_RATIO)
+"""A vehicle at 3 m/s moves by 9 m in that span. Chosen: more ranges decide later and cost more."""
 DECISION_LOG_ODDS = math.log(1000.0)
 """Log odds at which a hypothesis about the radio is accepted: a unit, or an antenna.
 
@@ -269,7 +270,10 @@ def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
 
 
 BEARINGS = Sampling(span_s=4.0, least=16, most=96, every=4)
-"""Their span is that of the bearings that are tested for being random."""
+"""Their span is that of the bearings that are tested for being random, at up to 24 Hz.
+
+Chosen: more bearings decide later, of fewer a small scatter is chance.
+"""
 
 
 class BearingCheck:

@@ -129,15 +129,15 @@ class TargetFilter(Protocol):
 
 
 POWER_SIGMA_DB = 4.5
-"""Fast fading of a received power that a radio averages little, standard deviation: 3 to 6 dB."""
+"""Standard deviation of fast fading, of which a radio averages little: the middle of 3 to 6 dB."""
 POWER_PLACE_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
-"""Standard deviation of shadowing, 4 to 8 dB, and its correlation length: 10 m in rubble to 100 m
-in the open (M. Gudmundson, Electronics Letters 27, 1991)."""
+"""Standard deviation of shadowing, the middle of 4 to 8 dB, and its correlation length: 10 m in
+rubble to 100 m in the open (M. Gudmundson, Electronics Letters 27, 1991)."""
 POWER_TOTAL_SIGMA_DB = math.hypot(POWER_SIGMA_DB, POWER_PLACE_SIGMA_DB, 1.0 / math.sqrt(12.0))
 """Standard deviation of one received power, its rounding to 1 dB included."""
 EXPONENT = 2.75
-"""Prior mean of the path-loss exponent: 2 in free space to 3.5 in urban areas (Rappaport, table
-4.2)."""
+"""Prior mean of the path-loss exponent: the middle of 2 in free space and 3.5 in urban areas
+(Rappaport, table 4.2)."""
 
 
 def threshold(k: float | None) -> float:

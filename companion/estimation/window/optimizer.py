@@ -70,7 +70,7 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 KEPT_SHARE = 0.95
-"""Share to which a full window is thinned: less drops more at once, more thins more often."""
+"""Share to which a full window is thinned; chosen: less drops more, more thins more often."""
 
 
 class MeasurementWindow:
@@ -140,7 +140,7 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
 
 
 MAX_STARTS_KEPT = 4
-"""Most hypotheses that start a solution of the window: each costs a descent."""
+"""Most hypotheses that start a solution of the window; chosen: each costs a descent."""
 SHARED_PASSES = 8
 """Passes over the measurements, as measured, for the effect of shared errors."""
 

@@ -35,7 +35,10 @@ from companion.kernel import Matrix, Vector
 Indices = NDArray[np.intp]
 
 LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Correlation lengths of the grid, in units of the prior one."""
+"""Correlation lengths of the grid, in units of the prior one, in factors of two.
+
+Chosen: a finer grid, as one of more deviations below, costs a factorisation for each pair.
+"""
 AMPLITUDES = (0.1, 0.25, 0.5, 0.8, 1.2, 1.8)
 """Deviations of the grid, in units of the prior one."""
 CELL_SHARE = 0.125

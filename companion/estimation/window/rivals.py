@@ -49,7 +49,10 @@ from companion.estimation.window.sandwich import (
 from companion.kernel import Matrix, Vector
 
 IMPROBABLE_LOG_RATIO = math.log(1e-4)
-"""Log odds to the best optimum below which one is dropped."""
+"""Log odds to the best optimum below which one is dropped.
+
+Chosen: those that are kept cost a covariance each, a dropped one returns by a fresh start only.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +169,10 @@ def log_erfc(x: float) -> float:
 
 
 COLLINEAR_RATIO = 0.05
-"""Spread of a track across over its spread along, below which it is a line."""
+"""Spread of a track across over its spread along, below which it is a line.
+
+Chosen: 5 m on 100 m; more calls a bend a line, less a line with position errors a bend.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,9 +54,15 @@ corrects.
 CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BANDWIDTH**3) / 1.96
 """Fixed-bandwidth 97.5 % critical value over the normal one (Kiefer and Vogelsang)."""
 MIN_SLOPE = 0.05
-"""Lower limit of the share of measurements on the quadratic part."""
+"""Lower limit of the share of measurements on the quadratic part.
+
+Chosen: a variance goes with its inverse square; of less, chance would decide about its size.
+"""
 PRIOR_COUNT = 4.0
-"""Weight of thermal noise in the pooled second moment, in measurements."""
+"""Weight of thermal noise in the pooled second moment, in measurements.
+
+Chosen: less lets a few small residuals claim too little noise, more delays what they show.
+"""
 MAX_CORRELATION = 0.98
 """Upper limit of a lag-1 correlation: 99 measurements count as one."""
 SIGNIFICANT_SIGMAS = 2.0
@@ -319,7 +325,10 @@ def long_run_variance(scores: Vector) -> Matrix:
 
 
 MIN_RISE_SHARE = 0.5
-"""Least share of the predicted rise of the cost at the edge that confirms the curvature."""
+"""Least share of the predicted rise of the cost at the edge that confirms the curvature.
+
+Chosen: less lets a flat valley pass, more widens an optimum that is merely no parabola.
+"""
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 """Stretch factors that are tried, up to 26.
 

@@ -37,7 +37,10 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 
 TIME_CONSTANT_S = 150.0
-"""Correlation time of single-frequency GNSS errors, s: 60 to 1,000 s."""
+"""Correlation time of single-frequency GNSS errors, s: 60 to 1,000 s.
+
+Chosen: a shorter one claims more drift within a search, and so a wider R95.
+"""
 GAP_S = 2.0
 """Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
 the vehicle's motion in between is not known to be a line.

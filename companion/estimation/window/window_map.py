@@ -93,7 +93,7 @@ the reach of an unknown radio.
 Chosen: of radios that reach some hundred metres; a larger one keeps places without any evidence.
 """
 STEP_ITERATIONS = 4
-"""Iterations of a solution between two interruptions: fewer return sooner, more cost less."""
+"""Iterations between two interruptions of a solution; chosen: fewer return sooner and cost more."""
 SAME_PLACE_M = 0.3
 """Distance below which two optima are the same: far below any R95, far above a solution's end."""
 
