@@ -218,7 +218,8 @@ def test_warm_up_that_cannot_compile_says_why_and_that_flights_go_on(
     monkeypatch.setattr(module, "compile_kernels", fails)
     assert main(["warm-up"]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert lines[-2:] == [
+    lines = [line for line in lines if "compiling kernels" not in line]  # logged by a thread
+    assert lines == [
         "companion: compiling needs a C compiler",
         "companion: kernels run as plain Python, which suffices in flight",
     ]
