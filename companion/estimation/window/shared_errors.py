@@ -41,6 +41,9 @@ TIME_CONSTANT_S = 150.0
 
 Chosen: a shorter one claims more drift within a search, and so a wider R95.
 """
+URBAN_GNSS_RATIO = 2.0
+"""GNSS error between buildings, 3 m and more, over that under the open sky, 1.5 m, which receivers
+without corrections report in both places."""
 GAP_S = 2.0
 """Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
 the vehicle's motion in between is not known to be a line.
@@ -88,6 +91,8 @@ def shared_sigmas(
     if params.process_noise_m_per_sqrt_s > 0.0 and not own.is_corrected:
         walk_m = params.process_noise_m_per_sqrt_s * math.sqrt(0.5 * TIME_CONSTANT_S)
         own_m = max(walk_m, own.horizontal_m if own.is_reported else 0.0)
+    elif is_auto and own_m > own.horizontal_m:
+        own_m = URBAN_GNSS_RATIO * own.horizontal_m
     return SharedSigmas(own_m, height_m, lag_s, jump_m)
 
 

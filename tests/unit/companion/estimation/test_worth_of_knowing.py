@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from companion.domain import (
+    GNSS_ACCURACY_FACTOR,
     Attitude,
     EstimateState,
     PositionAccuracy,
@@ -146,3 +147,20 @@ def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_t
     _, poor = search(before=PositionAccuracy(1.0, 6.0, is_reported=True), kind="auto")
     assert poor.r95_m > level.r95_m
     assert poor.position_enu_m == level.position_enu_m
+
+
+def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own = PositionAccuracy(1.0, 0.0, is_reported=True)
+    (_, told), (_, walls) = search(before=own), search(before=own, kind="auto")
+    (_, fixed) = search(kind="auto")
+    monkeypatch.setattr(
+        "companion.estimation.window.shared_errors.URBAN_GNSS_RATIO", GNSS_ACCURACY_FACTOR
+    )
+    assert search(before=own)[1] == told
+    assert search(kind="auto")[1] == fixed
+    _, sky = search(before=own, kind="auto")
+    assert sky.r95_m < walls.r95_m
+    assert sky.settled_r95_m == walls.settled_r95_m
+    assert sky.position_enu_m == walls.position_enu_m
