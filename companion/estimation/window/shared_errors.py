@@ -42,8 +42,10 @@ TIME_CONSTANT_S = 150.0
 Chosen: a shorter one claims more drift within a search, and so a wider R95.
 """
 URBAN_GNSS_RATIO = 2.0
-"""GNSS error between buildings, 3 m and more, over that under the open sky, 1.5 m, which receivers
-without corrections report in both places."""
+"""Single-frequency GNSS error between buildings, 3 to 10 m, over that under the open sky, 1.5 m.
+
+Chosen: the low end. It is assumed that a receiver reports the same accuracy in both places.
+"""
 GAP_S = 2.0
 """Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
 the vehicle's motion in between is not known to be a line.
