@@ -153,7 +153,7 @@ def _shape(outside: Corners, holes: Sequence[Corners], origin: LocalOrigin) -> l
 
 
 def _lon_lat(place: Point, origin: LocalOrigin) -> Point:
-    """Return degrees; longitudes beyond the antimeridian go on, so that shapes stay whole."""
+    """Return degrees; longitudes continue beyond +-180 degrees, so that shapes stay whole."""
     latitude, longitude, _ = origin.geodetic_from_enu((*place, 0.0))
     return origin.longitude_deg + _wrapped(longitude - origin.longitude_deg), latitude
 
@@ -171,7 +171,7 @@ OPACITY = 150
 
 
 def pod_colours() -> list[str]:
-    """Return the colours of a POD of 0 and of 1 as CSS has them, `#rrggbbaa`."""
+    """Return the colours of a POD of 0 and of 1 in CSS notation, `#rrggbbaa`."""
     return [f"#{bytes((*colour.astype(np.uint8), OPACITY)).hex()}" for colour in (POOR, GOOD)]
 
 

@@ -30,10 +30,10 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
 
 Signed = Annotated[float, msgspec.Meta(ge=-MOST, le=MOST)]
 Distance = Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
-"""m; from the centimetre of a GNSS receiver with RTK to the largest fence of an autopilot (PX4:
-GF_MAX_HOR_DIST up to 10,000 m)."""
+"""Distance in m, from the centimetre of a GNSS receiver with RTK to the largest fence of an
+autopilot (PX4: GF_MAX_HOR_DIST up to 10,000 m)."""
 Waiting = Annotated[float, msgspec.Meta(ge=0.05, le=3600.0)]
-"""s; from one control tick to an hour, which is longer than a multicopter flies."""
+"""Time in s, from one control tick to an hour, which is longer than a multicopter flies."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,7 +41,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 PositionEnu = tuple[float, float, float]
-"""East, north and up, metres."""
+"""Position in the local frame: east, north and up, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class RangingMeasurement:
     """Direction to the emitter, clockwise from the vehicle's nose; needs the yaw to be used."""
     bearing_sigma_rad: float | None = None
     elevation_rad: float | None = None
-    """Positive above the horizon of the sensor."""
+    """Elevation of the direction, positive above the horizon of the sensor."""
     elevation_sigma_rad: float | None = None
     power_dbm: float | None = None
     """Received power, dBm; 0 is a measured milliwatt."""
@@ -92,15 +92,15 @@ class RangingMeasurement:
     bearing is the arcsine of the direction's component to the right, the elevation of that
     upwards."""
     quality: float | None = None
-    """0 (worst) to 1 (best)."""
+    """Quality that the radio reports, 0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None
     stamp_us: int | None = None
     """The sender's own stamp; a second message with the same values is a duplicate."""
     array: ArrayDirection | None = None
     """The bearing as the antenna measured it, once its attitude at the time is known."""
     least_sigmas: tuple[float | None, float | None, float | None] = (None, None, None)
-    """Of range (m), bearing and elevation (rad): the smallest standard deviation configured for its
-    radio, which replaces smaller reported ones; None: that of the estimation."""
+    """Smallest standard deviations of range (m), bearing and elevation (rad) that are configured
+    for its radio, and replace smaller reported ones; None: those of the estimation."""
 
     @property
     def has_direction(self) -> bool:
@@ -128,7 +128,7 @@ class Attitude:
     """Vehicle attitude."""
 
     yaw_ned_rad: float
-    """Clockwise from north."""
+    """Yaw, clockwise from north."""
     tilt_rad: tuple[float, float] | None = None
     """Roll, to the right positive, and pitch, nose up positive; None: not reported."""
 
@@ -161,7 +161,7 @@ class PositionAccuracy:
     """
 
     horizontal_m: float = DEFAULT_GNSS_SIGMA_M
-    """Per axis."""
+    """Horizontal sigma as reported, per axis."""
     vertical_m: float = GNSS_VERTICAL_RATIO * DEFAULT_GNSS_SIGMA_M
     is_reported: bool = False
     """True if the autopilot reported it; False: it is the assumed default."""
@@ -309,9 +309,9 @@ class Waypoint:
     detail: str = ""
     """One phrase for the operator, for example the overshoot."""
     altitude_offset_m: float = 0.0
-    """Above the search altitude; below it if negative."""
+    """Altitude relative to the search altitude, positive above it."""
     descent_m: float = 0.0
-    """Part of that by a lower pass."""
+    """Part of that offset that is due to a lower pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,7 +415,7 @@ class BatteryLevel(IntEnum):
     """Level of the battery; a greater number is worse."""
 
     UNKNOWN = 0
-    """Not full: unknown."""
+    """The level is not reported, which does not mean full."""
     GOOD = 1
     LOW = 2
     CRITICAL = 3

@@ -63,7 +63,7 @@ class _EscapedOutput(io.TextIOWrapper):
 
 
 def ignore_broken_pipe(*, escapes: bool = False) -> None:
-    """Let standard output and error go on without a reader; replaced streams stay.
+    """Keep standard output and error working without a reader; replaced streams stay.
 
     With `escapes` control characters are printed escaped.
     """

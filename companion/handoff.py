@@ -34,16 +34,16 @@ class Handoff:
     """Position of an emitter, with its uncertainty and time."""
 
     emitter: str
-    """Its id or name, as the operator knows it; any text, the formats escape it."""
+    """Id or name of the emitter, as the operator knows it; any text, the formats escape it."""
     state: str
     place_deg: Degrees
     altitude_m: float
-    """Above mean sea level: the assumed or estimated height of the emitter."""
+    """Altitude of the emitter above mean sea level, assumed or estimated."""
     r95_m: float
-    """Relative: radius that holds the emitter with 95 % probability, rival positions included, for
+    """Relative radius: it holds the emitter with 95 % probability, rival positions included, for
     the vehicle that measured it."""
     absolute_r95_m: float
-    """The same on the Earth, for other vehicles and people."""
+    """Absolute radius, the same on the Earth, for other vehicles and people."""
     own: PositionAccuracy
     """Accuracy of the vehicle position, which is included in the absolute radius."""
     ellipse_deg: tuple[Degrees, ...]
@@ -115,7 +115,7 @@ def _minutes(angle_deg: float, signs: str) -> str:
 
 
 MIN_DIGITS, MAX_DIGITS = 1, 5
-"""A digit pair is 10 km, five are 1 m."""
+"""Digit pairs of a grid reference: one is 10 km, five are 1 m."""
 
 
 def geo_uri(place: Degrees) -> str:
@@ -137,7 +137,8 @@ def mgrs_text(place: Degrees, r95_m: float) -> str:
 
 
 DECIMALS = 7
-"""About a centimetre; RFC 7946 section 11.2 recommends no more digits than are known."""
+"""Decimals of degrees, about a centimetre; RFC 7946 section 11.2 recommends no more digits than are
+known."""
 
 
 def geojson(handoffs: Iterable[Handoff]) -> str:

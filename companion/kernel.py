@@ -42,7 +42,7 @@ if _native is None and not IS_SWITCHED_OFF:
             numba = importlib.import_module("numba")
 
 PACKAGES = ("companion", "sim_link")
-"""Those that define kernels."""
+"""Packages that define kernels."""
 
 
 def _sources_digest() -> str:

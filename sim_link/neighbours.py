@@ -29,7 +29,7 @@ COMPONENT_BYTE = 6
 STREAM_S = 0.1
 """Period of its own companion's setpoints and requests."""
 NEIGHBOURS_UID = 4096
-"""Plus the system id: its hardware is another one than that of our vehicle."""
+"""Hardware id less the system id: its hardware is another one than that of our vehicle."""
 STREAMS = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -145,7 +145,7 @@ class FleetAmongOthers:
     def __init__(self, fleet: Endpoint, scenario: Scenario, links: int, shared: int) -> None:
         self._fleet, self._scenario, self._links = fleet, scenario, links
         self._waiting: list[tuple[OtherVehicle, range]] = []
-        """Those that are not there yet, and their links."""
+        """Neighbours that are not there yet, and their links."""
         self._here: list[tuple[Neighbour, range]] = []
         self._gone: list[Neighbour] = []
         for setup in scenario.other_vehicles:

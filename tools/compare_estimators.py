@@ -49,7 +49,7 @@ class Score:
     error_m: float
     r95_m: float
     is_inside: tuple[bool, ...]
-    """Within the radius of each of `LEVELS`."""
+    """True within the radius of each of `LEVELS`."""
     energy_m: float
     time_ms: float
     """Processor time a measurement."""

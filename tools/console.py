@@ -36,7 +36,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def at_least(least: int, text: str) -> int:
-    """Return a whole number of at least so much, or raise an ArgumentTypeError."""
+    """Return a whole number that is at least `least`, or raise an ArgumentTypeError."""
     try:
         value = int(text)
     except ValueError:
@@ -75,7 +75,7 @@ def say(text: str) -> None:
 LINE_EVERY_S = 15.0
 
 OnDone = Callable[[float], None]
-"""Called with the work done, in the unit of the total."""
+"""Callback with the work done, in the unit of the total."""
 
 
 @contextmanager

@@ -208,7 +208,7 @@ def _kml_place(text: str, path: str) -> LatLon:
 
 
 MAX_BYTES = 10_000_000
-"""A plan with the mission of a whole day is smaller."""
+"""Largest size of a plan file; one with the mission of a whole day is smaller."""
 READERS = {".plan": areas_of_plan, ".kml": areas_of_kml}
 
 

@@ -25,14 +25,15 @@ from companion.errors import ConfigError
 T = TypeVar("T")
 Renew = Callable[[dict[str, Any]], object]
 SMALLEST = 1e-12
-"""The square of a number much smaller than this is zero, and its inverse infinite."""
+"""Smallest magnitude of a number but 0; of a much smaller one the square is zero, and the inverse
+infinite."""
 MAX_PROBLEMS = 20
 """Largest number of lines in an error."""
 SHOWN = 20
 """Characters of a value that an error repeats."""
 MAX_BYTES = 100_000
-"""Nine times the longest file here; a larger one is another kind of file, or an attack: a megabyte
-takes six seconds to read."""
+"""Largest size of a file, nine times that of the longest one here; a larger one is another kind of
+file, or an attack: a megabyte takes six seconds to read."""
 MAX_MERGED = 10_000
 """Keys that merges (`<<`) of a file may copy."""
 UNSHOWN = "has characters that cannot be shown"

@@ -32,7 +32,7 @@ class RadioConfig(Params, frozen=True):
 
     @property
     def has_range_offset(self) -> bool:
-        """True if the constant of its ranges is set, be it to 0."""
+        """True if the constant offset of its ranges is configured, even as 0."""
         return "range_offset_m" in self.settings or "offset_steps" in self.options
 
     def __post_init__(self) -> None:

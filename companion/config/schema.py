@@ -45,8 +45,8 @@ from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
 
 Speed = Annotated[float, msgspec.Meta(ge=0.1, le=20.0)]
-"""m/s; within the range of the autopilot's own limit (ArduPilot: WPNAV_SPEED 0.1 to 20 m/s, PX4:
-MPC_XY_VEL_MAX up to 20 m/s)."""
+"""Speed in m/s, within the range of the autopilot's own limit (ArduPilot: WPNAV_SPEED 0.1 to 20
+m/s, PX4: MPC_XY_VEL_MAX up to 20 m/s)."""
 DEFAULT_FENCE = ((-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0))
 
 
@@ -56,7 +56,7 @@ class LimitsConfig(Params, frozen=True):
     fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
     """Corners of the fence polygon, about the autopilot's local origin."""
     fence_file: str | None = None
-    """A QGroundControl .plan or a .kml file with the fence instead, relative to this file."""
+    """File with the fence instead, a QGroundControl .plan or a .kml, relative to this file."""
     autopilot_fence: Literal["ignore", "compare", "require", "use"] = "compare"
     """Use of the autopilot's own fence; see `FencePolicy`."""
     fence_margin_m: NonNegative = 3.0
@@ -64,9 +64,9 @@ class LimitsConfig(Params, frozen=True):
     keep_out_enu_m: tuple[tuple[tuple[float, float], ...], ...] = ()
     """Polygons that no setpoint enters, each by its corners."""
     altitude_min_m: Distance = 5.0
-    """Above home."""
+    """Lowest altitude of setpoints above home."""
     altitude_max_m: Distance = 60.0
-    """Above home."""
+    """Highest altitude of setpoints above home."""
     speed_mps: Speed = 5.0
     climb_mps: Speed = 2.0
     acceleration_mps2: Positive = 2.5
@@ -167,7 +167,7 @@ class LogConfig(Params, frozen=True):
 
     @property
     def max_bytes(self) -> int:
-        """The cap of one flight."""
+        """Size limit of one flight's logs."""
         return int(1e6 * self.max_mb)
 
 
@@ -258,7 +258,7 @@ class PlannerConfig(Params, frozen=True):
 
 
 class CompanionConfig(Params, frozen=True):
-    """All that a file can configure."""
+    """Everything that a configuration file can set."""
 
     schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
     """Version of these keys; files of earlier versions are read, and migrated to this one."""

@@ -32,9 +32,9 @@ from companion.geometry.polygons import is_simple
 from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
 
 MOST_CORNERS = 2000
-"""Of all polygons: the grid takes a quarter of a second then."""
+"""Most corners of all polygons together; with so many the grid takes a quarter of a second."""
 MOST_RASTER_CELLS = 100 * MOST_CELLS
-"""A finer raster has nothing to add: a cell of the search holds a hundred of its values."""
+"""Most cells of a raster, a hundred in each cell of the search; a finer one adds nothing."""
 
 
 def read_search_site(path: Path) -> SearchSite:
@@ -280,10 +280,11 @@ def _raster(box_deg: tuple[float, float, float, float], weights: NDArray[np.floa
 
 
 MOST_DEGREES = 60.0
-"""Of a raster: 20 km at the northernmost latitude of a fence are 2 degrees of longitude."""
+"""Largest extent of a raster in degrees; a fence of 20 km spans 2 degrees of longitude far
+north."""
 GEOGRAPHIC, PIXEL_IS_POINT = 2, 2
 WGS84_CODES = (4326, 4258, 4269)
-"""WGS84, ETRS89 and NAD83, which differ by a metre."""
+"""EPSG codes of WGS84, ETRS89 and NAD83, which differ by a metre."""
 
 
 def _raster_of_geotiff(path: Path) -> SiteRaster:

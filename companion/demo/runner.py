@@ -149,13 +149,13 @@ class DemoWatch(FlightView):
         self._limit_s = limit_s
         self._began_wall_s: float | None = None
         self.ended = ""
-        """Reason; empty: interrupted by the user."""
+        """Reason for the end; empty: interrupted by the user."""
         self.time_s = 0.0
         """Time of the companion at the last wake-up before the end."""
         self.worst_gap_s = 0.0
         """Largest flight time between two wake-ups."""
         self.estimates: list[tuple[float, float, float, float]] = []
-        """(time_s, east_m, north_m, r95_m)"""
+        """Estimates so far: time_s, east_m, north_m and r95_m of each."""
         self.crossings_enu_m: list[Point] = []
 
     @property

@@ -136,7 +136,7 @@ LOW_BATTERY_PCT = 30
 SLOW_WRITE_S = 1.0
 LEAST_FREE_MB = 50.0
 A_RECENT_TIME_S = 1.735e9
-"""2024-12-24; a clock before that was never set."""
+"""Unix time of 2024-12-24; a clock before that was never set."""
 
 
 def examine(facts: Facts, config: CompanionConfig) -> list[CheckResult]:

@@ -21,13 +21,13 @@ class StreamRate:
     """MAVLink's name of the message."""
     asked_hz: float
     count: int
-    """Messages received ..."""
+    """Number of messages received."""
     seconds: float
-    """... in this time."""
+    """Time in which they were received."""
 
     @property
     def measured_hz(self) -> float:
-        """Messages per second."""
+        """Measured rate, messages per second."""
         return self.count / self.seconds if self.seconds > 0.0 else 0.0
 
 
@@ -44,7 +44,7 @@ class AutopilotFacts:
     is_armed: bool
     rates: tuple[StreamRate, ...]
     parameters: Mapping[str, float | None]
-    """Requested ones; None: not reported."""
+    """Values of the requested parameters by name; None: not reported."""
     has_rc: bool | None
     """True if it hears a transmitter; None: not reported."""
     heard: frozenset[str]
@@ -83,7 +83,7 @@ class LinkFacts:
     waited_s: float
     """Time of listening for an autopilot."""
     autopilot: AutopilotFacts | None
-    """None: none was heard."""
+    """Facts of the autopilot; None: none was heard."""
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
     """System ids under which another component with the companion's id sent."""
@@ -166,9 +166,9 @@ class Level(Enum):
 
     OK = "OK"
     WARN = "WARN"
-    """A flight is possible, but less good or less safe than it could be."""
+    """Flight is possible, but less good or less safe than it could be."""
     FAIL = "FAIL"
-    """Do not fly like this."""
+    """Fault that forbids a flight."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ class StoredHypothesis:
     mean: tuple[float, ...]
     """State (n,), see `measurement_model`."""
     covariance: tuple[tuple[float, ...], ...]
-    """(n, n)."""
+    """Covariance of the state, (n, n)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def belief_of(
     own: PositionAccuracy | None = None,
     raised_m: float = 0.0,
 ) -> Belief | None:
-    """Return the belief that these hypotheses, best first, amount to; None without any."""
+    """Return the belief made of these hypotheses, best first; None without any."""
     if not hypotheses:
         return None
     best = hypotheses[0].log_weight

@@ -191,7 +191,7 @@ def _polar_covariance(direction_rad: float, radial_sigma_m: float, across_sigma_
 def probabilities(hypotheses: Iterable[Hypothesis]) -> Vector:
     """Return the probabilities of the hypotheses, in order; their sum is 1.
 
-    The prior counts until measurements alone have decided for one place: it never delays that.
+    The prior counts until measurements alone have decided for one position: it never delays that.
     """
     hypotheses = tuple(hypotheses)
     if len(hypotheses) == 1:
@@ -245,7 +245,7 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
 
 
 def _merged(better: Hypothesis, other: Hypothesis) -> Hypothesis:
-    """Return two hypotheses as one at the better place, with the probability of both.
+    """Return two hypotheses as one at the better position, with the probability of both.
 
     Of a window's two covariances it has the mixture's second moment about that place, so that R95
     still contains the other place with its probability.

@@ -232,7 +232,8 @@ class TrackIntegrity:
         """True if hardly any measurement agrees with the estimate."""
         self._contradiction = Contradiction()
         self._detour_since_s: float | None = None
-        """Time since which every measurement came on a detour; None: the newest did not."""
+        """Start of the period in which every measurement came by a detour; None: the newest did
+        not."""
         self._nis = NisWindow()
         self._inflation_at_loss: Inflation | None = None
         """Measured inflation when agreement was lost; None: it is not lost."""

@@ -76,7 +76,7 @@ class AcceptanceParams(Params, frozen=True):
     """Limits of a plausible and timely measurement."""
 
     max_range_m: Positive = 2000.0
-    """A longer range is an error of the radio or of its unit."""
+    """Longest plausible range; a longer one is an error of the radio or of its unit."""
     max_age_s: Positive = 1.0
     """Maximum age of a measurement; a younger one is fused at its own time."""
 
@@ -218,12 +218,12 @@ class RecentShare:
         self._window: deque[tuple[float, bool]] = deque()
         self._true_count = 0
         self.share: float | None = None
-        """None: too few yet."""
+        """Share of them; None: too few yet."""
         self.is_most = False
         """True if the share exceeds a half."""
 
     def add(self, time_s: float, *, is_true: bool) -> None:
-        """Take in one that arrived at this time."""
+        """Add one that arrived at this time."""
         self._window.append((time_s, is_true))
         self._true_count += is_true
         # chosen: shorter ones are chance, longer ones delay the answer; ten also of a slow radio

@@ -120,7 +120,7 @@ class MotionWatch:
         """Motion that the latest tests indicate, confirmed or not; None: stationary."""
 
     def _take_fresh(self) -> None:
-        """Take in the fresh measurements; one of power alone shows no motion, but shadows."""
+        """Add the fresh measurements; one of power alone shows no motion, but shadows."""
         for row in self.fresh if self._is_enabled else ():
             if not np.isnan(row[VALUES:SIGMAS]).all():
                 self._rows.append(row)

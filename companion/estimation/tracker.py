@@ -100,7 +100,8 @@ class TargetTracker:
         self._shared = NO_ERRORS
         self._kept_estimate = KeptEstimate()
         self.prior: SearchPrior | None = None
-        """Probability that a search in vain left over the area, at first contact; None: unknown."""
+        """Probability map that the search before the first contact left over the area; None:
+        unknown."""
         self._moves = 0
         """Number of frame shifts and resets; steps that began before the latest are abandoned."""
         self._set_up(params)

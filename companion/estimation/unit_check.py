@@ -47,7 +47,7 @@ class Sample(NamedTuple):
 
     time_s: float
     value: float
-    """Metres or radians, if it is in the right unit."""
+    """Value in metres or radians, if the radio's unit is the right one."""
     place_enu_m: PositionEnu
     """Position of the sensor."""
     sigma: float = 0.0
@@ -58,9 +58,9 @@ class Sampling(NamedTuple):
     """Samples that a check takes."""
 
     span_s: float
-    """Span of older ones that are dropped, ..."""
+    """Span of a check; older samples are dropped."""
     least: int
-    """... but for this number, the fewest in a check."""
+    """Fewest samples in a check, which are kept even if they are older."""
     most: int
     every: int
     """Samples between two checks."""
@@ -92,9 +92,9 @@ class _Window:
     """Recent ranges and the positions where they were measured, oldest first."""
 
     range_m: Vector
-    """(n,) as reported by the radio."""
+    """Ranges as reported by the radio, (n,)."""
     sensor_enu_m: Matrix
-    """(n, 3)."""
+    """Positions where they were measured, (n, 3)."""
 
 
 class _Moments:

@@ -90,7 +90,7 @@ class LocalOrigin:
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
-    """Above mean sea level, as MAVLink reports it."""
+    """Altitude of the origin above mean sea level, as MAVLink reports it."""
     projection: Projection = Projection.ELLIPSOID
     offset_enu_m: Triple = (0.0, 0.0, 0.0)
     """Fitted offset and scale of the autopilot's pairs of local and global positions: local is
@@ -138,7 +138,7 @@ class LocalOrigin:
 
 
 SPHERE_M = 6_371_000.0
-"""PX4: CONSTANTS_RADIUS_OF_EARTH."""
+"""Radius of the Earth in PX4, CONSTANTS_RADIUS_OF_EARTH."""
 METRES_PER_DEGREE = 0.011131884502145034 * 1e7
 """ArduPilot: LOCATION_SCALING_FACTOR, of 1e-7 degrees."""
 LEAST_COSINE = 0.01

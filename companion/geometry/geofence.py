@@ -58,7 +58,7 @@ class GeoArea:
 
     corners_deg: tuple[LatLon, ...]
     radius_m: float | None = None
-    """None: a polygon."""
+    """Radius of a circle; None: a polygon."""
 
 
 @dataclass(frozen=True, slots=True)

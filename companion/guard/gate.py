@@ -34,9 +34,10 @@ Position = tuple[float, float, float]
 
 AT_REST = (0.0, 0.0, 0.0)
 JUMP_STEPS = 2.0
-"""A vehicle farther from its setpoint than this many steps did not lag: its position jumped."""
+"""Distance from vehicle to setpoint, in steps, beyond which the position jumped: no lag explains
+it."""
 ASIDE_M = 2.0
-"""A setpoint farther than this beside the vehicle's way back inside is not on it."""
+"""Lateral distance within which a setpoint is on the vehicle's way back inside."""
 
 
 class GuardReason(Enum):
@@ -62,13 +63,13 @@ class GuardLimits:
     """Limits of every setpoint; a `ValueError` begins with the name of a contradicting one."""
 
     fence: Fence | None
-    """Present fence; Present fence; None: not known yet, so that nothing moves."""
+    """Present fence; None: not known yet, so that nothing moves."""
     envelope: Envelope
     stopping: Stopping
     distance_home_m: float = math.inf
     """Largest distance of a setpoint from home."""
     reserve: Reserve | None = None
-    """None: the battery is not used."""
+    """Charge reserved for the way home; None: the battery is not used."""
 
     def __post_init__(self) -> None:
         """Refuse limits that contradict each other."""

@@ -92,7 +92,7 @@ class TakeOff:
     """Request a take-off."""
 
     altitude_m: float
-    """Above home."""
+    """Height to climb to, above home."""
     home_up_m: float
     """Height of home in the local frame."""
 
@@ -161,31 +161,31 @@ class SessionParams(Params, frozen=True):
     altitude_m: Distance = 20.0
     """Search altitude above home."""
     stop_radius_m: Distance = 1.0
-    """The target is reported once R95 stays under this ..."""
+    """R95 below which the target is reported, once it has stayed there for `stop_confirm_s`."""
     stop_confirm_s: Waiting = 10.0
-    """... for this long."""
+    """Time for which R95 must stay below `stop_radius_m`."""
     settle_s: Waiting | None = 45.0
-    """Or, where that is out of reach, once R95 has improved by less than 8 % for this long; null:
-    never."""
+    """Time in which R95 must improve by 8 %, or the target is reported with the radius that it has;
+    null: never."""
     on_localised: Literal["hold", "return", "land"] = "hold"
     """Mode to request after the report, a value of `FlightMode`."""
     searches_on: bool = msgspec.field(default=False, name="continue")
     """True if the search continues for further emitters after a report."""
     ranging_timeout_s: Annotated[float, msgspec.Meta(ge=0.5, le=3600.0)] = 5.0
-    """Without a usable measurement for this long: hold."""
+    """Time without a usable measurement after which the vehicle holds."""
     degraded_after_s: Waiting = 2.0
-    """Without one for this long: continue, slower."""
+    """Time without a usable measurement after which the vehicle flies more slowly."""
     coast_drift_mps: ClassVar[float] = 1.0
     """Assumed speed of the target, relative to its estimate, without measurements."""
     coast_sigma_max_m: ClassVar[float] = 30.0
-    """Without ranging the vehicle holds if the estimate is less certain than this, one sigma."""
+    """Standard deviation of the estimate, without ranging, above which the vehicle holds."""
     on_sticks: StickReaction = "yield"
     """Reaction to a pilot who moves the sticks: `yield` holds, then leaves the vehicle to the
     pilot; `hold` only holds; `ignore` continues."""
     battery_low_pct: Percent = 20.0
-    """At this charge the leg is finished, estimates are reported, and the vehicle returns."""
+    """Charge at which the leg is finished, estimates are reported, and the vehicle returns."""
     battery_critical_pct: Percent = 10.0
-    """At this charge the vehicle is handed back at once by requesting the return."""
+    """Charge at which the vehicle is handed back at once by requesting the return."""
 
     def __post_init__(self) -> None:
         if self.battery_low_pct < self.battery_critical_pct:
@@ -218,9 +218,10 @@ MINUTE_S = 60.0
 SHARE_OF_DOWNLINK = 0.01
 """Share of the downlink's capacity for texts; telemetry needs the rest."""
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
-"""Figures; the number of a system or an emitter, and one in a name, distinguish causes."""
+"""Figures that do not distinguish causes; the number of a system or an emitter, and one in a name,
+do."""
 WAITED_FOR = re.compile(r"(?<=\bwaiting for ).*")
-"""Inputs that come one after the other after a start: one cause."""
+"""List of missing inputs, which shrinks after a start: one cause, whatever it contains."""
 
 
 @dataclass(slots=True)

@@ -329,7 +329,7 @@ class SessionContext:
             self.contain("planner", error, now_s)
 
     def contain(self, part: str, error: Exception, now_s: float) -> None:
-        """Record an error that a part raised, and go on."""
+        """Record an error that a part raised, and continue."""
         self.send(*self.containment.note(part, error, now_s))
 
     def retune(self, tuning: Tuning) -> None:

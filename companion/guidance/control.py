@@ -23,13 +23,14 @@ TICK_S = 0.05
 20."""
 HEARTBEAT_PERIOD_S = 1.0
 READY_AGAIN_S = 3.0
-"""Interruptions shorter than this are not announced each time."""
+"""Length of an interruption up to which it is not announced each time."""
 UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
 TRACK_STEP_M = 0.5
-"""Positions nearer than this to the logged one are not logged: a hover wanders by as much."""
+"""Distance from the logged position up to which none is logged: a hover wanders by as much."""
 SILENCE_S = 0.3
-"""After a longer pause the vehicle may have moved: the first setpoint is its position."""
+"""Longest pause of the setpoints after which they continue; after a longer one the first setpoint
+is the vehicle's position, because it may have moved."""
 
 
 class ControlTick:

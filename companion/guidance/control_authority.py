@@ -29,7 +29,7 @@ REGAIN_QUIET_S = 2.0
 PX4 may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be in transit.
 """
 LATE_S = 1.0
-"""A frame sent before control was handed over may arrive this much later, and ends nothing."""
+"""Longest delay of a frame sent before control was handed over; it ends nothing until then."""
 ID_CONFLICT_S = 10.0
 """Longest silence of an id conflict: a bad link loses half of the other system's HEARTBEATs."""
 CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})

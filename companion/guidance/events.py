@@ -31,7 +31,8 @@ class SessionMemory:
     """State of a session at one moment, as kept for a restart."""
 
     phase: Phase | None
-    """None: another mission is flown now, and only the fences of the flight count."""
+    """Phase to continue in; None: another mission is flown now, and only the fences of the flight
+    count."""
     origin: LocalOrigin | None
     """Origin of the frame in which the rest is given."""
     belief: Belief | None
@@ -161,7 +162,7 @@ class SetpointEchoed(Event):
     """Target that the autopilot reports to follow."""
 
     position_enu_m: PositionEnu | None
-    """None: the target is not a position but a velocity, for example."""
+    """Position of the target; None: it is a velocity, for example."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +189,7 @@ class FixReported(Event):
 
     has_fix: bool
     receiver: int = 0
-    """Counted from 0."""
+    """Number of the receiver, from 0."""
 
 
 class AccuracySource(Enum):
@@ -206,7 +207,7 @@ class PositionAccuracyReported(Event):
 
     source: AccuracySource
     horizontal_m: float | None
-    """None: unknown to its source."""
+    """Horizontal sigma; None: unknown to its source."""
     vertical_m: float | None
 
 
@@ -215,7 +216,7 @@ class BatteryReported(Event):
     """State of charge, as the autopilot reports it."""
 
     charge_pct: float | None
-    """0 to 100; None: unknown."""
+    """Charge, 0 to 100; None: unknown."""
     level: BatteryLevel
     """The autopilot's own classification."""
 
@@ -293,7 +294,7 @@ class AutopilotFenceRead(Event):
     """Result of downloading the autopilot's fence."""
 
     fence: GeoFence | None = None
-    """None without a problem: the autopilot has no fence."""
+    """Fence as downloaded; None without a problem: the autopilot has no fence."""
     problem: str | None = None
     """Reason why the fence is unknown, in words."""
     is_unusable: bool = False
@@ -305,9 +306,9 @@ class FenceLimits:
     """Fence that the autopilot's parameters define; None: no such limit."""
 
     radius_m: float | None = None
-    """Horizontally, about home."""
+    """Horizontal limit about home."""
     altitude_max_m: float | None = None
-    """Above home."""
+    """Upper limit above home."""
     altitude_min_m: float | None = None
     margin_m: float = 0.0
     """Distance inside the fence at which the autopilot stops by itself."""

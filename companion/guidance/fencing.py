@@ -44,18 +44,19 @@ from companion.guidance.events import AutopilotFenceRead, FenceLimits
 TOLERANCE_M = 1.0
 """Largest distance between two borders that count as the same."""
 MAX_STEP_M = 1000.0
-"""An origin that moved farther than this is another site, not a better fix."""
+"""Longest step of an origin that is a better fix; beyond it the origin is that of another site."""
 
 
 class FencePolicy(Enum):
     """Use of the autopilot's own fence."""
 
     IGNORE = "ignore"
-    """Not downloaded at all."""
+    """The autopilot's fence is not downloaded at all."""
     COMPARE = "compare"
-    """It must equal ours; a missing or unreported one is announced and allowed."""
+    """The autopilot's fence must equal ours; a missing or unreported one is announced and
+    allowed."""
     REQUIRE = "require"
-    """It must equal ours, and there must be one."""
+    """The autopilot must have a fence, and it must equal ours."""
     USE = "use"
 
 
@@ -97,7 +98,7 @@ class Fencing:
         self.fence_limits = FenceLimits()
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
         self._reported_limits = FenceLimits()
-        """The same as it was reported last."""
+        """The autopilot's fence by parameters, as reported last."""
         self.home_enu_m: Point | None = None
         """Centre of the autopilot's circular fence, east and north."""
         self.is_urgent = False

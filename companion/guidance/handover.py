@@ -29,7 +29,8 @@ SETTLE_S = 2.0
 HAND_BACK_S = 1.4
 """Longest time for the autopilot to confirm its mode: the process ends 1.5 s after the request."""
 LONGEST_HAND_BACK_S = 1.9
-"""Same from the stop request, 2 s, where the mode had to be reacquired before the request."""
+"""Longest time from the request to stop, after which the process has 2 s, where the mode had to be
+reacquired before the hand-back was requested."""
 GRANT_HOW = "GRANT on the live map, or command 92 to component 191"
 CHECKING = Finding(Verdict.HOLD, Reason.CHECKING, "checking its inputs")
 
@@ -101,7 +102,7 @@ class Handover:
             self._note_other_mode(event)
 
     def leave(self, why: str, now_s: float) -> None:
-        """Become silent: the autopilot there is not, or no longer, the vehicle handed over."""
+        """Stop sending: the autopilot on the link is not, or no longer, the vehicle handed over."""
         context, left = self._context, self._context.authority.phase
         if not context.enter(Trigger.NOT_OURS, now_s):
             return

@@ -66,7 +66,7 @@ class LaunchView:
     now_s: float
     heartbeat: HeartbeatReceived
     height_m: float
-    """Above home."""
+    """Height above home."""
     home_up_m: float
     has_origin: bool = True
     """True if altitudes above sea level are known, which PX4 needs for the takeoff."""

@@ -251,7 +251,7 @@ class MotionMessages:
         self._walking: set[int] = set()
 
     def messages_for(self, emitter_id: int, motion: TargetMotion | None) -> list[Announce]:
-        """Return a text if a target began to walk, or became stationary (None); mostly none."""
+        """Return a text if a target began to move, or became stationary (None); mostly none."""
         is_walking, was_walking = motion is not None, emitter_id in self._walking
         if is_walking == was_walking:
             return []
@@ -335,7 +335,7 @@ HARMLESS = frozenset(
 
 
 class RejectMessages:
-    """Collects refusals."""
+    """Collects refusals of measurements, by reason."""
 
     def __init__(self) -> None:
         self._pending: Counter[RejectReason] = Counter()

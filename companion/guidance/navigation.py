@@ -1,4 +1,4 @@
-"""Way from the planner's answer to a waypoint, and from there to the next guarded setpoint.
+"""From the planner's answer to a waypoint, and from there to the next guarded setpoint.
 
 The flight plan keeps the planner's request and answer, and the texts about it.
 """
@@ -218,7 +218,7 @@ def _forbidden_place(fence: Fence, place: Point) -> str:
 
 
 CLIMB_FIRST_M = 1.0
-"""More than this below the altitude band, the vehicle climbs before it moves horizontally."""
+"""Distance below the altitude band from which the vehicle climbs before it moves horizontally."""
 
 
 class Steering:

@@ -70,10 +70,10 @@ class SettledRule:
         """Time of the last one; None: the vehicle held since then, or measurements paused for
         long."""
         self._mark: tuple[float, float] | None = None
-        """That time at the last improvement of R95, and its value then."""
+        """Measuring time and R95 at the latest improvement of R95."""
 
     def reset(self) -> None:
-        """Drop the mark."""
+        """Drop the latest improvement."""
         self._mark = None
 
     def is_met(
@@ -105,7 +105,7 @@ class SettledRule:
 
 
 SAME_LEG_M = 1.0
-"""A waypoint that moves by less is the same one, refined."""
+"""Longest move of a waypoint that is the same one, refined."""
 REACHED_M = 3.0
 FINAL_AGAIN_S = 5.0
 """Longer than a request with all its repetitions takes."""

@@ -59,7 +59,7 @@ def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | 
 MODE_UNKNOWN_AFTER_S = 10.0
 """Time without a HEARTBEAT after which control is unknown: stop, so that its failsafe acts."""
 MAX_MODE_AGE_S = 1.0
-"""Age at which a reported mode is out of date."""
+"""Age from which a reported mode is out of date."""
 DOUBT_TIMEOUT_S = 5.0
 """Time after which another mode may be requested of a vehicle that still reports ours."""
 MAX_STAMPED = 256
@@ -129,17 +129,17 @@ class ModeWatch:
 
 
 STALE_STATE_S = 0.5
-"""A vehicle position older than this is not used for guidance."""
+"""Longest age of a vehicle position that is used for guidance."""
 LINK_LOST_S = 1.0
-"""Without any valid frame of the autopilot for this long the link counts as lost."""
+"""Time without any valid frame of the autopilot after which the link counts as lost."""
 LANDED_PATIENCE_S = 3.5
 """Longest age of EXTENDED_SYS_STATE, seven of the requested periods."""
 MIN_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
 MAX_HOME_DISTANCE_M = 1e5
-"""A home farther from the origin than this is a fault of one of the two."""
+"""Longest distance of home from the origin; a longer one is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
-"""An origin that moves farther than this has moved the local frame as well."""
+"""Step of an origin from which the local frame has moved as well."""
 
 
 class VehicleView:

@@ -78,7 +78,7 @@ class Checkpoint:
     """A mission's memory with its mission and its time."""
 
     sequence: int
-    """Larger in each that follows, across restarts, too."""
+    """Number of the checkpoint, which increases across restarts, too."""
     saved: Moment
     key: MissionKey
     memory: SessionMemory

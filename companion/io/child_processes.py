@@ -32,8 +32,8 @@ from companion.io.shell import Clock
 
 HOST = "127.0.0.1"
 START_S = 900.0
-"""Real time that a process that lives may take to start: the first one of all compiles for a minute
-of processor time, and has an eighth of a core where twelve others want two."""
+"""Real time in which a process must have started: the first one compiles for a minute of processor
+time, and on a busy machine gets an eighth of a core."""
 STOP_S = 5.0
 """Real time that a process may take to end after SIGTERM."""
 

@@ -299,8 +299,9 @@ logger = logging.getLogger("companion.io")
 MAX_QUEUED = 10_000
 SYNC_PERIOD_S = 1.0
 GATHER_S = SYNC_PERIOD_S
-"""A thread that wakes for each record takes the interpreter from the control tick a hundred times
-a second. Records reach the disk once in this time anyway."""
+"""Time for which records are gathered, because a thread that wakes for each would take the
+interpreter from the control tick a hundred times a second. They reach the disk once in this time
+anyway."""
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 

@@ -158,7 +158,7 @@ class InputKind(IntEnum):
     OPERATOR_COMMAND = 4
     """Input whose data name the operator's command."""
     EARLIER_RUN = 5
-    """An earlier process did not end in order."""
+    """Input that records that an earlier process did not end in order."""
     RECALL = 6
     """Input whose data are the age, float64 seconds, and that process's memory, in MessagePack."""
     NOTE = 7
@@ -286,7 +286,7 @@ NO_BEGINNING = (
     "no flight.inputs)"
 )
 MOST_PAUSE_S = 86_400.0
-"""Between the times of two records: a flight that was stopped for a day does not go on."""
+"""Longest pause between two records: no flight continues after a day."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from companion.io.files import OnDamage
 
 VERSION = 1
 MOST_DATA_BYTES = 65_536
-"""More than this becomes several records."""
+"""Most bytes of one record; more are divided among several."""
 MOST_LINE_BYTES = 262_144
 BUFFER_BYTES = 65_536
 BUFFER_S = 1.0
@@ -67,7 +67,7 @@ class RecordingHeader(
     started_unix_s: float
     radios: tuple[RecordedRadio, ...]
     origin: RecordedOrigin | None = None
-    """Set if it was known from the start."""
+    """Origin of the local frame, if it was known from the start."""
 
 
 class RadioBytes(msgspec.Struct, frozen=True, tag="bytes", tag_field="kind"):
@@ -85,9 +85,9 @@ class TimedPose(msgspec.Struct, frozen=True, tag="pose", tag_field="kind", omit_
     t_s: float
     enu_m: PositionEnu
     yaw_rad: float | None = None
-    """Clockwise from north."""
+    """Yaw, clockwise from north."""
     roll_rad: float | None = None
-    """Positive to the right; given together with pitch (positive nose up) or not at all."""
+    """Roll, positive to the right; given together with pitch (positive nose up) or not at all."""
     pitch_rad: float | None = None
     sigma_m: float | None = None
     """Standard deviation of the position per horizontal axis, if its source reports it."""

@@ -12,8 +12,8 @@ for the rest of its burst, unless the timer is due before. While `may_gather` al
 are stamped with their arrival wait for the timer: between two control ticks no setpoint is sent.
 
 After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
-taken in before the timer fires, so that the first tick works with present data; a flood can delay
-that by 0.1 s only.
+read before the timer fires, so that the first tick works with present data; a flood can delay that
+by 0.1 s only.
 
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives it
 1.5 wall seconds; a second signal ends at once. Two within 0.3 s count as one: timeout(1) and some
@@ -72,13 +72,14 @@ takes the rest of the two seconds that a stop may last."""
 SAME_SIGNAL_S = 0.3
 """Wall seconds within which a second signal counts as the same request."""
 LATE_S = 0.05
-"""A timer later than this has missed a whole control tick."""
+"""Lateness of a timer that has missed a whole control tick."""
 STALL_S = 0.2
-"""A timer later than this finds links that hold the past."""
+"""Lateness of a timer after which what the links hold is out of date."""
 CATCH_UP_S = 0.1
 """Limit of wall-clock seconds for reading the links' backlog after a stall."""
 MIN_TIMER_S = 0.001
-"""An endpoint whose next time is always past must not take the whole processor."""
+"""Shortest wait, so that an endpoint whose next time is always past does not take the whole
+processor."""
 MAX_TIMER_S = 3600.0
 """The loop refuses timers of many days; waking up once an hour costs nothing."""
 
@@ -160,12 +161,12 @@ class TimerStatistics:
 
     fired: int = 0
     late: int = 0
-    """Times it was later than `LATE_S`."""
+    """Number of firings later than `LATE_S`."""
     late_total_s: float = 0.0
     """Sum of those delays."""
     worst_late_s: float = 0.0
     stalls: int = 0
-    """Times it was later than `STALL_S`, after which the links were emptied first."""
+    """Number of firings later than `STALL_S`, after which the links were emptied first."""
 
     def note(self, late_s: float) -> None:
         """Record the lateness of one firing."""

@@ -178,7 +178,7 @@ from then on."""
 class _Want:
     message_id: int
     interval_s: float | None
-    """None: one message, not a stream."""
+    """Requested interval of the stream; None: one message, not a stream."""
     retry_s: float = FIRST_RETRY_S
     asked_s: float | None = None
     asks: int = 0
@@ -384,7 +384,7 @@ class AutopilotQueries:
         time = self.clock.due(now_s, *ids)
         quiet_until_s = min(self.clock.next_s, self._streams.next_look_s)
         self.next_s = quiet_until_s if request is None else now_s
-        return [question for question in (mode, request, time) if question is not None]
+        return [due for due in (mode, request, time) if due is not None]
 
     def ask_mode(self) -> None:
         """Request a HEARTBEAT, once, instead of waiting for the next one."""

@@ -30,7 +30,7 @@ from companion.link.gcs_services import (
     StationRequest,
     TunableBook,
 )
-from companion.link.inbound import TIMESYNC, UNREAD, is_time_question
+from companion.link.inbound import TIMESYNC, UNREAD, is_time_request
 from companion.link.intake import HEARTBEAT, Authenticity, FloodShield, Intake
 from companion.link.interface import EndpointParams, InputRecorder, Journal, LinkRole, LinkSpec
 from companion.link.outbound import Ids
@@ -316,7 +316,7 @@ class CompanionEndpoint:
         is_peer = peer == binding.peer
         if is_peer or binding.is_keyed or binding.bound is None:
             self._journal.frame(frame, now_s)
-        if number in UNREAD or (number == TIMESYNC and is_time_question(frame)):
+        if number in UNREAD or (number == TIMESYNC and is_time_request(frame)):
             if is_proved:
                 self.executor.note_unread(sender, sequence, number, peer, now_s)
             return
@@ -383,7 +383,7 @@ class CompanionEndpoint:
     # At the control tick
 
     def _ask_autopilot(self, now_s: float) -> None:
-        """Send the session's request and the questions that are due, if any can be."""
+        """Send the requests of the session and of the queries that are due, if any can be."""
         if self.executor.requests.pending is not None:
             self.executor.send_request(now_s)
         vehicle = self.session.vehicle
@@ -397,8 +397,8 @@ class CompanionEndpoint:
             for number in SIGNS:
                 self.outlet.ask_elsewhere(request_message(number, self.outlet.target_ids), peer)
         is_mode_wanted = vehicle.mode_watch.is_in_doubt and not vehicle.is_link_lost(now_s)
-        for question in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
-            self.outlet.send(question, now_s, is_droppable=True)
+        for query in self._queries.due(now_s, is_mode_wanted=is_mode_wanted):
+            self.outlet.send(query, now_s, is_droppable=True)
 
     def _link_record(self, now_s: float) -> dict[str, object]:
         emitters = self.session.context.emitters

@@ -172,9 +172,9 @@ class VehicleInbound:
         self._newest: dict[int, int] = {}
         """Sending order of the newest message of each kind."""
         self._frame: LocalOrigin | None = None
-        """Origin of the present frame, shifted with every local position ..."""
+        """Origin of the present frame, shifted with every local position."""
         self._frame_begun: tuple[int, float] | None = None
-        """... and the sending order and time of the report that began it."""
+        """Sending order and time of the report with which that frame began."""
         self._health = HealthReports()
         return AutopilotRestarted(now_s)
 
@@ -388,7 +388,7 @@ def _landed_state(value: int) -> LandedState:
         return LandedState.UNKNOWN
 
 
-def is_time_question(frame: bytes) -> bool:
+def is_time_request(frame: bytes) -> bool:
     """Return True if a TIMESYNC asks for the time; only answers, whose `tc1` is set, are of use.
 
     PX4 asks every component ten times a second.

@@ -53,9 +53,9 @@ class RadioSettings(Params, frozen=True):
     """Offset of ranges: range = (reported - range_offset_m) / range_scale."""
     range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
     range_min_m: Signed = 0.0
-    """A shorter corrected range is refused."""
+    """Least corrected range; a shorter one is refused."""
     range_max_m: Positive | None = None
-    """A longer corrected range is refused; null: by `AcceptanceParams`, 2 km."""
+    """Longest corrected range; a longer one is refused; null: by `AcceptanceParams`, 2 km."""
     zero: Literal["refuse", "accept"] = "refuse"
     """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
     range_sigma_m: Positive | None = None
@@ -63,7 +63,8 @@ class RadioSettings(Params, frozen=True):
     estimation's."""
 
     power_offset_db: Signed = 0.0
-    """Added to received powers: gains of antennas, or the level to which the radio relates them."""
+    """Offset that is added to received powers: gains of antennas, or the level to which the radio
+    relates them."""
 
     bearing_sign: Sign = 1
     """-1 where the device counts counter-clockwise."""
@@ -76,7 +77,7 @@ class RadioSettings(Params, frozen=True):
     elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
 
     quality_min: Share = 0.0
-    """A reading of lower quality is refused."""
+    """Least quality; a reading of lower quality is refused."""
     sigma_factors: tuple[tuple[Share, Positive], ...] = ()
     """[quality, factor] pairs, ascending: from that quality on sigmas are multiplied by the
     factor."""
@@ -88,7 +89,7 @@ class RadioSettings(Params, frozen=True):
     lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
     """Delay of that time after the measurement."""
     max_age_s: Positive | None = None
-    """An older reading is refused; null: by `AcceptanceParams`, 1 s."""
+    """Largest age of a reading; an older one is refused; null: by `AcceptanceParams`, 1 s."""
     rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
     """Limit of measurements per second of one emitter, because each costs milliseconds; null:
     none."""
@@ -241,7 +242,7 @@ class LinkParams(Params, frozen=True):
     rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
     """Control ticks, and so setpoints, per second."""
     lossy_rate_hz: ClassVar[float] = 50.0
-    """The same rate on a lossy line, the greatest that is configurable."""
+    """Control ticks per second on a lossy line; no configured rate is higher."""
     lossy_share: ClassVar[float] = 0.2
     """Share of lost frames of the autopilot above which a line is lossy."""
     downlink_bytes_s: Annotated[float, msgspec.Meta(ge=100.0, le=1e9)] = 5760.0
@@ -251,8 +252,8 @@ class LinkParams(Params, frozen=True):
     """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` has
     precedence."""
     unsigned_ranging: bool = False
-    """With a key, `--ranging` links accept unsigned ranging messages of a radio that cannot sign;
-    anything else that is unsigned is refused on every link."""
+    """True: with a key, `--ranging` links accept unsigned ranging messages of a radio that cannot
+    sign; anything else that is unsigned is refused on every link."""
 
     stop_unread_streams: bool = False
     """True: the autopilot is asked to stop streams on this link that the companion does not use;

@@ -47,9 +47,9 @@ class OwnFrames:
         self._order: deque[int] = deque()
         self._sent: dict[int, int] = {}
         self._run = 0
-        """Foreign frames without a long silence between them, ..."""
+        """Number of foreign frames without a long silence between them."""
         self._began_s = self._heard_s = -math.inf
-        """... and the times of the first and the last."""
+        """Times of the first and the last of those frames."""
 
     def record_sent(self, frame: bytes) -> None:
         """Note a frame of ours."""

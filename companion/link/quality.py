@@ -248,9 +248,9 @@ RATE_WINDOW_S = 5.0
 """Span over which rates are measured."""
 REFUSAL_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S
 MANY_REFUSALS = 10
-"""Refusals since the last text before the next one ..."""
+"""Refusals since the last text that make another one due, if they exceed `MANY_SHARE`."""
 MANY_SHARE = 0.2
-"""... if they exceed this share of all readings."""
+"""Share of all readings that refusals must exceed for a text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +275,7 @@ class RadioStatus:
 
     @property
     def words(self) -> str:
-        """State in words."""
+        """State of the radio in words."""
         if self.silent_s is None:
             return "not heard"
         parts = [f"{self.rate_hz:.0f} measurements/s"]

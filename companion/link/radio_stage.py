@@ -31,8 +31,8 @@ REACH_M = 101_000.0
 """Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
 one is an overflow or in another unit."""
 STALLED_S = 2.0
-"""With no measurement of an emitter within its rate for so long, of which the least is 1 Hz, it is
-not the rate that is too high: stamps in another unit stand still."""
+"""Time without a measurement within its rate, at least 1 Hz, after which stamps of an emitter stand
+still because they are in another unit."""
 
 
 class DeviceClock:
@@ -93,7 +93,7 @@ class RadioStage:
         self.names = EmitterNames(settings)
         self.clock = DeviceClock(settings.clock_wrap_s or setup.kind.clock_wrap_s)
         self.received = 0
-        """Bytes so far."""
+        """Number of bytes so far."""
         self._first = b""
         """The first of them."""
         self.received_s: float | None = None
@@ -101,7 +101,7 @@ class RadioStage:
         self.lost = 0
         """Number of losses of the line."""
         self.measured = 0
-        """Measurements so far."""
+        """Number of measurements so far."""
         self.age_s: float | None = None
         """Age of the latest one on arrival."""
         self.refused: Counter[str] = Counter()
@@ -112,7 +112,7 @@ class RadioStage:
         self._mount_rad = math.radians(settings.bearing_mount_deg)
         self._half_view_rad = math.radians(0.5 * settings.field_of_view_deg) + 1e-9
         self.thinned = 0
-        """Measurements beyond `rate_max_hz`."""
+        """Number of measurements beyond `rate_max_hz`."""
         self._rates: dict[int, RateLimit] = {}
         self._passed_s: dict[int, float] = {}
         """Arrival of each emitter's latest measurement within its rate."""

@@ -237,7 +237,7 @@ class _Layout(NamedTuple):
     values_of: Callable[[Any], tuple[float, ...]]
     """Getter of the fields' values in wire order."""
     attributes: Mapping[str, object]
-    """What the constructor sets in every message of the class."""
+    """Attributes that the constructor sets in every message of the class."""
     crc_extra: bytes
 
 

@@ -21,7 +21,7 @@ class Chunk(NamedTuple):
     link: int
     """Index of the link, in the shell's order."""
     data: bytes
-    """Empty from one of several clients of a TCP port: that client has disconnected."""
+    """The bytes; empty from one of several clients of a TCP port: that client has disconnected."""
     peer: Address | None = None
     """Sender; on the way out, None means the link's default peers."""
     except_peers: frozenset[Address] = frozenset()

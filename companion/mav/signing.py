@@ -48,7 +48,7 @@ KEY_LENGTH = 32
 HASH_LENGTH = 6
 TIMESTAMP_LENGTH = 6
 EPOCH_UNIX_S = 1_420_070_400
-"""1 January 2015, the epoch of signing timestamps."""
+"""Unix time of 1 January 2015, the epoch of signing timestamps."""
 TICKS_PER_S = 100_000
 MAX_BEHIND = 6_000_000
 """Largest lag behind ours of a new stream's first timestamp, in units of 10 us: one minute."""
@@ -69,9 +69,9 @@ class SignatureVerdict(Enum):
     UNSIGNED = "unsigned"
     BAD_SIGNATURE = "bad signature"
     REPLAYED = "replayed"
-    """Not newer than its stream's last frame."""
+    """The timestamp is not newer than that of its stream's last frame."""
     TOO_OLD = "too old"
-    """First of its stream, and more than a minute behind."""
+    """The frame is the first of its stream, and more than a minute behind."""
     TOO_FAR_AHEAD = "too far ahead"
     """Signed correctly, but by a clock that is far ahead of ours."""
     TIMESTAMP_OVERFLOW = "timestamp too late"
@@ -222,7 +222,7 @@ class LinkSigning:
 
     signing: Signing
     link_id: int
-    """0 to 255; part of the identity of our streams."""
+    """Number of the link, 0 to 255; part of the identity of our streams."""
     is_trusted: bool = False
     """True: unsigned frames are accepted on this link."""
     unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED
@@ -244,7 +244,7 @@ class SigningSetup:
     """Request of a SETUP_SIGNING that may be obeyed."""
 
     key: SigningKey | None
-    """None: end signing."""
+    """New key; None: end signing."""
     initial_timestamp: int
 
 

@@ -48,7 +48,7 @@ class PlanRequest:
     range_left_m: float = math.inf
     """Distance that the charge above the reserve lasts, the way home included."""
     outlook: Outlook | None = field(default=None, compare=False)
-    """Chance that is left in the search area; None: unknown, or there was contact."""
+    """Remaining probability over the search area; None: unknown, or there was contact."""
     time_s: float = 0.0
     contact_s: float | None = None
     """Time at which ranging could be flown by last; None: unknown, and an estimate counts as

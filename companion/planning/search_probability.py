@@ -1,10 +1,10 @@
 """Search by remaining probability: a pattern if it is uniform, else legs where it is highest.
 
 Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
-pattern over the whole area, lanes over the cells that hang together above a level of the density
-that is left, along and across, an expanding square about the densest of them, and a sector search
-about the only one. The value of a candidate is the greatest rate of success per second of its
-beginnings, way to it included:
+pattern over the whole area, lanes over connected cells above a level of the remaining density,
+along and across, an expanding square about the densest of them, and a sector search about the only
+one. The value of a candidate is the greatest rate of success per second of its beginnings, way to
+it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
 
@@ -44,7 +44,7 @@ LEAVE_RATIO = 1.2
 LEVELS = (0.7, 0.4, 0.15)
 """Densities, against the greatest, whose regions become candidates."""
 MOST_REGIONS = 3
-"""Regions of a level that are considered, those with the greatest chance."""
+"""Regions of a level that are considered, the most probable first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,8 @@ class Region:
 
     cells: Bools = field(compare=False)
     turn: int
-    """0: lanes along the longer axis, 1: across it, 2: an expanding square, 3: a sector search."""
+    """Orientation: 0: lanes along the longer axis, 1: across it, 2: an expanding square, 3: a
+    sector search."""
 
 
 Source = Track | Region | float
@@ -115,9 +116,9 @@ class ProbabilityMemory(SearchMemory):
     flown_m: float = 0.0
     """Length of all legs that were finished."""
     pattern_m: float = math.inf
-    """Length of the pattern over the whole area: so much is one sweep."""
+    """Length of the pattern over the whole area, which is one sweep."""
     why: str = ""
-    """Chance of the present leg, in words."""
+    """Probability that the present leg succeeds, in words."""
 
 
 class ProbabilityPlanner(SearchPlanner):
@@ -327,7 +328,7 @@ def _with_result(decision: Decision, candidate: CandidateLegs) -> Decision:
 
 
 def _regions(outlook: Outlook, level: float) -> tuple[Region, ...]:
-    """Return the regions above a level of the density, those with the greatest chance."""
+    """Return the regions above a level of the density, the most probable first."""
     density = outlook.density
     found = list(pieces_of(outlook.grid, density >= level))
     found.sort(key=lambda cells: -float(density[cells].sum()))

@@ -64,7 +64,8 @@ class Antenna(NamedTuple):
     first: Triple
     second: Triple
     rows: int
-    """1: the first axis alone (a line), or a planar array's azimuth; 2: both axes."""
+    """Rows of direction: 1 is the first axis alone (a line), or a planar array's azimuth; 2 both
+    axes."""
     is_planar: bool
     half_view_rad: float
     """Half angle about the boresight; a line or two axes see the mirrored cone behind as well."""

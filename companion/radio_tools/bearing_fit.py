@@ -40,13 +40,13 @@ MOST_SCANNED = 500
 """Bearings of the scan; the fit takes all."""
 LEAST_RESULTANT = 0.5
 LEAST_FOLDED_RESULTANT = 0.8
-"""A folded angle is never far from any other: one that stands still has 0.64."""
+"""Least resultant length of folded angles; even one that stands still has 0.64."""
 UNLIKELY_PER_S = 1e-3
 """Penalty per second, so that of equally good lags the smallest is chosen."""
 LEAST_LEAD = 0.15
 """Least difference by which the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
-"""The same by north, where most bearings may be of one direction."""
+"""The same lead for bearings from north, most of which may be of one direction."""
 HUBER_K = 1.5
 SECTORS = 12
 LEAST_SECTORS = 8
@@ -98,11 +98,12 @@ class BearingFit:
     """Boresight clockwise from the nose, including the constant error of the compass."""
     lag_s: Figure | None
     sigma_rad: Figure
-    """About sign and mount; of a folded one of the direction cosine, so at boresight."""
+    """Standard deviation about sign and mount; of a folded antenna that of the direction cosine, so
+    at boresight."""
     gross_share: float
     """Share of outliers."""
     field_of_view_rad: float
-    """Whole angle; beyond it bearings are worse."""
+    """Whole angle of the field of view; beyond it bearings are worse."""
     behind_share: float
     """Share of bearings of a point behind the boresight."""
     waves_rad: tuple[float, float] | None

@@ -246,7 +246,8 @@ LISTEN_S = 20.0
 FEWEST = 5
 """Least ranges for a median; a cell has one for each attach of the phone."""
 MOST_BESIDE_M = 20.0
-"""Farther away a reflection may be in the median: that is a line test."""
+"""Longest distance to the emitter; farther away a reflection may be in the median: that is a line
+test."""
 SIGMA_OF_MAD = 1.4826
 MOST_SHOWN = 8
 """Emitters that are named to choose from."""
@@ -259,7 +260,7 @@ class _Listener(OneShotEndpoint):
         super().__init__(end_s)
         self.stage = RadioStage(setup)
         self._ranges_m: dict[int, list[float]] = {}
-        """By emitter."""
+        """Ranges of each emitter."""
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Decode received bytes."""

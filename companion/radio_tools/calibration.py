@@ -94,7 +94,7 @@ class Calibration:
     bearings: int = 0
     tests: FieldTests = field(default_factory=FieldTests)
     lag_s: Figure | None = None
-    """None: the recording does not determine it; 0 is used."""
+    """Lag; None: the recording does not determine it, and 0 is used."""
     range_fit: RangeFit | None = None
     bearing_fit: BearingFit | None = None
     is_by_north: bool = False

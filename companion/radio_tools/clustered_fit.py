@@ -242,7 +242,7 @@ class Seen:
     place_m: Matrix
     """Vehicle positions, (n, 3)."""
     distance_m: Vector
-    """Slant."""
+    """Slant distance to the point."""
     closing_mps: Vector
     """Rate of the distance, positive when it grows."""
     speed_mps: Vector
@@ -339,7 +339,7 @@ class FieldTests:
     turned_rad: float = 0.0
     """Yaw over ground that it did not leave, both ways together."""
     circled_rad: float = 0.0
-    """About the point, at one distance."""
+    """Angle flown about the point, at one distance."""
     circle_m: float = 0.0
 
     @property

@@ -37,9 +37,9 @@ ASKED_SHARE = 1.0
 PLAYED = "?play=10"
 """URL option that plays a file that may be a log at a hundred lines a second."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
-"""This many bytes with this share of non-text and no reading mean another speed."""
+"""Number of bytes, and their share of non-text, that mean another speed if there is no reading."""
 FEWEST_POWERS = 3
-"""Received powers that are no accident of a console that prints ranges, too."""
+"""Fewest received powers that are no accident of a console that prints ranges, too."""
 FEWEST_FRAMES_SHARE = 0.5
 """Least share of the bytes in binary formats, whose short frames without a checksum occur in
 noise."""
@@ -182,7 +182,7 @@ class Attempt:
     """Share of the time, relative to the other attempts' shares."""
     share_s: float = 0.0
     most_s: float = 0.0
-    """The same in seconds, and the limit if something was measured."""
+    """Longest time if something was measured; `share_s` is the time until then."""
 
 
 def attempts(url: str) -> list[Attempt]:

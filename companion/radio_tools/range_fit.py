@@ -68,7 +68,7 @@ class RangeMixture:
     """Ranges less distance: a mean of each place, and the parameters they share."""
 
     means_m: Vector
-    """(places,)."""
+    """Mean of each place, (places,)."""
     sigma_m: float
     free_share: Vector
     """Probability that each range is not reflected, (n,)."""
@@ -89,7 +89,7 @@ class RangeFit:
     between_m: float
     """Standard deviation of the error that a place shares."""
     sigma_m: Figure
-    """Both together."""
+    """Standard deviation of both together."""
     nlos_share: Figure
     nlos_excess_m: Figure | None
     distances_m: list[float]
@@ -226,11 +226,11 @@ class _Level:
     """Offset at a scale of 1."""
     offset_m: Figure
     scale: Figure
-    """Less 1."""
+    """Scale less 1."""
     is_scale_observable: bool
     between_m: float
     residuals_m: Vector
-    """Residuals of the places."""
+    """Residuals of the places, metres."""
     distances_m: Vector
 
 

@@ -42,7 +42,7 @@ LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3
 """Least difference of the vehicle's speed towards the point at the same place."""
 LAG_SIGMA_S = 0.15
-"""A lag with a larger sigma does not count as determined."""
+"""Largest sigma of a lag that counts as determined."""
 
 
 def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
@@ -101,7 +101,7 @@ def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnThe
 
 
 def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
-    """Return the lag from out and back; None if the way does not determine it."""
+    """Return the lag from flights out and back; None if they do not determine it."""
     lag_s = scan_lag(samples, track)
     if lag_s is None:
         return None

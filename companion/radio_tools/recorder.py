@@ -53,7 +53,7 @@ from companion.run import link_name, open_signing
 
 HEARTBEAT_PERIOD_S = 1.0
 PATIENCE_S = 0.5
-"""A position waits this long for the next attitude."""
+"""Time that a position waits for the next attitude."""
 
 
 class PoseListener:

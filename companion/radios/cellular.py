@@ -56,7 +56,8 @@ class NrOptions(CellOptions, frozen=True):
     """Properties of the station's carrier."""
 
     numerology: Numerology | None = None
-    """0 is 15 kHz, 1 is 30 kHz, and so on; null: as reported in the log, if it is."""
+    """Numerology of the carrier: 0 is 15 kHz, 1 is 30 kHz, and so on; null: as reported in the log,
+    if it is."""
 
 
 class SrsRanOptions(NrOptions, frozen=True):

@@ -69,9 +69,9 @@ class AngleFrame(Enum):
     ARRAY = "array"
     """The antenna's boresight; each angle is the arcsine of a component in the array's plane."""
     NOSE = "nose"
-    """The vehicle's nose, clockwise."""
+    """Angles are clockwise from the vehicle's nose."""
     NORTH = "north"
-    """True north, clockwise."""
+    """Angles are clockwise from true north."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class RadioReading:
     """Received power, dBm."""
     frame: AngleFrame = AngleFrame.DEVICE
     quality: float | None = None
-    """0 (worst) to 1 (best)."""
+    """Quality of the reading, 0 (worst) to 1 (best)."""
     line_of_sight: bool | None = None
 
 
@@ -145,9 +145,9 @@ class Poll:
     """Path for HTTP if the link's address has none."""
     period_s: float
     request: bytes = b""
-    """Over a serial port or TCP, each period."""
+    """Query over a serial port or TCP, sent each period."""
     probe: bytes = b""
-    """Question after its own name, for a module whose requests need a configured address."""
+    """Query for the module's own name, for one whose requests need a configured address."""
 
 
 class RadioDecoder(ABC):

@@ -23,7 +23,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?
 _WHOLE = re.compile(r"0|[1-9][0-9]{0,18}")
 _HEXADECIMAL = re.compile(r"[0-9a-f]{1,12}")
 _LIKE_HEXADECIMAL = re.compile(r"0[0-9]+|[0-9]+[eE][0-9]+")
-"""Whole numbers as only a hexadecimal field without letters has them."""
+"""Whole numbers in a form that only a hexadecimal field without letters has."""
 _TRUE, _FALSE = {"1", "true", "yes", "los"}, {"0", "false", "no", "nlos"}
 
 
@@ -34,7 +34,7 @@ class Unit:
     attribute: str
     """Attribute of the reading."""
     factor: float = 1.0
-    """To the reading's unit."""
+    """Factor from the quantity to the reading's unit."""
 
 
 def _in_units(name: str, attribute: str, **factors: float) -> dict[str, Unit]:
@@ -78,7 +78,7 @@ SKIPPED = ("", "_", "skip")
 OVERFLOWS = frozenset({0x7FFF, 0xFFFF, 0x7FFF_FFFF, 0xFFFF_FFFF})
 """Whole numbers with all their bits set, which firmware prints where it has no range."""
 _CODES = OVERFLOWS | {10**digits - 1 for digits in range(4, 10)}
-"""The same, and all nines."""
+"""Codes for no range: those numbers, and ones of nines only."""
 _STEPS_PER_M = (1.0, 10.0, 100.0, 1000.0)
 """Units in which firmware counts before it prints metres."""
 _UNIT_WORDS = {

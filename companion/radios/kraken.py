@@ -35,7 +35,7 @@ LONGEST_CPI_MS = 60_000.0
 AWAY_MS = 10_000.0
 """Time after which a frequency that is missing while another is heard counts as not tuned."""
 STILL_S = 5.0
-"""A page that does not change for this long is reported; it is read more often than it changes."""
+"""Time without a change after which a page is reported; it is read more often than it changes."""
 LEAST_HZ = 1e6
 """Least plausible frequency: receivers begin at 24 MHz, so a smaller number has another unit."""
 MOST_CHANNELS = 64

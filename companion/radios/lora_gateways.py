@@ -45,7 +45,7 @@ class LoraGatewayOptions(Params, frozen=True):
     """Selects the gateway on the vehicle."""
 
     gateway: Annotated[str, msgspec.Meta(max_length=64)] = ""
-    """Its EUI or name, where several may report the same packet."""
+    """EUI or name of the gateway, where several may report the same packet."""
 
 
 class LoraGatewayDecoder(FrameDecoder):

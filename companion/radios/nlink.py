@@ -29,7 +29,7 @@ DBM = -0.5
 NO_DISTANCE = "no distance"
 PER_RAD = 18_000.0 / math.pi
 LOS_GAP_DB = 6.0
-"""A first path within this of the whole signal means line of sight (DW1000 user manual)."""
+"""Largest gap of the first path to the whole signal in line of sight (DW1000 user manual)."""
 
 U16, U32 = Struct("<H"), Struct("<I")
 RANGED = Struct("<BBHbBB")
@@ -47,9 +47,11 @@ class NlinkOptions(Params, frozen=True):
     """Properties of the signals that the frames lack."""
 
     nlos_gap_db: Positive | None = None
-    """Received above first path by more than this: not in line of sight; null: not judged."""
+    """Excess of the received power over the first path from which it is not in line of sight; null:
+    not judged."""
     behind_fp_dbm: float | None = None
-    """A first path weaker than this is from behind the antennas: its angle is dropped."""
+    """Power of the first path below which the signal is from behind the antennas, and its angle is
+    dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ class Layout:
     element: Struct | None = None
     """Record of one node; None: the frame has no ranges and is skipped."""
     element_bytes: int = 0
-    """0: they vary, and only the length is known."""
+    """Size of an element; 0: sizes vary, and only the length is known."""
     time_at: int = 0
     """Milliseconds of the device's own clock."""
 

@@ -167,7 +167,7 @@ class UavrtDecoder(FrameDecoder):
     LONGEST_LINE = 400
     LARGEST_TAG, LARGEST_HZ, LARGEST_S = 2**32, 4e9, 2**33
     MOST_DB = 200.0
-    """Above it no receiver has an SNR."""
+    """Highest SNR that a receiver can have."""
     STATUSES, NO_DETECTION = (0.0, 1.0, 2.0, 3.0), 3.0
 
     def size_at(self, data: bytes, at: int) -> int | None:

@@ -146,8 +146,8 @@ class UudfOptions(Params, frozen=True):
     """Quality options of a direction."""
 
     as_arcsines: bool = False
-    """Both angles as a two-axis array says them, for `antenna.kind: two_axis`: a board that looks
-    down, whose azimuth about its own upright alone says little."""
+    """True: both angles become those of a two-axis array, for `antenna.kind: two_axis`; of a board
+    that looks down the azimuth about its own upright alone has little information."""
 
 
 class UudfDecoder(FieldDecoder):
@@ -256,7 +256,7 @@ class LinesOptions(Params, frozen=True):
     """Options for reading a line."""
 
     pattern: Annotated[str, msgspec.Meta(max_length=1000)] = ""
-    """A regular expression of Python's `re`, searched for in each line."""
+    """Regular expression of Python's `re`, searched for in each line."""
     frame: Literal["device", "array", "nose", "north"] = "device"
     """Zero direction of the angles."""
     hello: Annotated[str, msgspec.Meta(max_length=200)] = ""

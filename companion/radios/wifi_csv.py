@@ -39,7 +39,8 @@ from companion.radios.wifi_ftm import MAC, complain_of_unsigned
 
 LENGTHS = ("mm", "cm", "m", "km", "ft")
 SUCCESSES = ("", "0", "success", "status_success", "ok")
-"""A status as Android numbers it, as its constant is called, and as apps print it."""
+"""Spellings of a successful status: Android's number, the name of its constant, and those of
+apps."""
 DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 """Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""
 
@@ -210,7 +211,7 @@ class Column:
     name: str
     """`range`, `range_sigma`, `emitter`, `emitter_name`, `time`, or one of `_OTHERS`."""
     unit: str = ""
-    """Empty: the name has none."""
+    """Unit; empty: the name has none."""
     of: str = ""
     """The emitter that a range is of, where each has a column."""
 

@@ -19,7 +19,7 @@ from companion.radios.decoder import RadioReading
 from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number, ratio
 
 LONGEST_M = 100_000.0
-"""An unsigned distance that went below zero is far beyond this."""
+"""Longest range; an unsigned distance that went below zero is far beyond it."""
 MAC = re.compile(r"[0-9A-Fa-f]{2}(?::[0-9A-Fa-f]{2}){5}")
 
 
@@ -27,8 +27,8 @@ class Esp32FtmOptions(Params, frozen=True):
     """Selects whether the console's own words name the emitter."""
 
     emitter_from_log: bool = True
-    """A result has no address; the session's lines before it have. False: all results are the
-    configured emitter's."""
+    """True: the emitter is the address in the session's lines before a result, which has none.
+    False: all results are the configured emitter's."""
 
 
 class Esp32FtmDecoder(FieldDecoder):

@@ -222,7 +222,7 @@ def replay_flight(
 
 
 class Pace:
-    """Paces a replay for people who watch."""
+    """Paces a replay for its viewers."""
 
     def __init__(self, speed: float) -> None:
         self._speed = speed

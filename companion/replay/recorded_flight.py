@@ -140,8 +140,8 @@ def rerun(
 OWN_COMPONENT = 191
 TICK_S = 0.05
 LONGEST_PAUSE_S = 60.0
-"""Between two frames of a tlog; a longer one, or one back in time, is a change of the wall
-clock."""
+"""Longest pause between two frames of a tlog; a longer one, or one back in time, is a change of the
+wall clock."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +211,7 @@ def _lacks_last(records: list[TlogRecord], inputs: list[Input]) -> bool:
 
 
 FLUSHED_WITHIN_S = 0.1
-"""Between the ends of two whole logs: two control ticks."""
+"""Longest time between the ends of two whole logs: two control ticks."""
 
 
 def _ends_early(records: list[TlogRecord], inputs: list[Input], facts: FlightFacts) -> bool:

@@ -145,9 +145,10 @@ class RadioReplay:
     """Result of a recording."""
 
     radios: list[str]
-    """A line for each radio, and one for each emitter if positions are unknown."""
+    """Lines of the report: one for each radio, and one for each emitter if positions are
+    unknown."""
     targets: list[TargetResult] = field(default_factory=list)
-    """Empty without any position."""
+    """Results of each target; empty without any position."""
 
 
 def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:

@@ -21,7 +21,7 @@ from companion.report.flight_summary import EstimatePoint
 from companion.web.settings import zooms_of
 
 MARGIN = 44.0
-"""Around the plot, for the ticks."""
+"""Margin around the plot, for the ticks."""
 MAX_POINTS = 1500
 """Most points of a curve; more cannot be distinguished."""
 
@@ -194,7 +194,7 @@ BINS = 50
 LEAST_SPAN = 1e-3
 """Least span of the axis of a histogram whose values are all the same."""
 ELLIPSES = 8
-"""Shown of each emitter, evenly over the flight; the newer, the stronger."""
+"""Number of ellipses drawn of each emitter, evenly over the flight; the newer, the stronger."""
 ELLIPSE_CORNERS = 90
 FAINTEST = 0.2
 MAP_MARGIN_M = 10.0
@@ -309,7 +309,7 @@ class TimeCharts:
 
     ended_s: float
     marks: Sequence[tuple[float, str]] = ()
-    """(time_s, name) of vertical lines, such as the steps of a mission."""
+    """Vertical lines, such as the steps of a mission: time_s and name of each."""
 
     def draw(
         self,

@@ -63,9 +63,9 @@ class EstimatePoint(
     nis: Number | None = None
     covariance_m2: tuple[tuple[Number, Number], tuple[Number, Number]] | None = None
     emitter_id: int | None = None
-    """None: the log does not separate emitters."""
+    """Id of the emitter; None: the log does not separate emitters."""
     absolute_r95_m: Metres | None = None
-    """None: the log is older than the absolute radius."""
+    """Absolute R95; None: the log is older than the absolute radius."""
 
     @property
     def radii(self) -> str:

@@ -52,11 +52,11 @@ from companion.report.flight_summary import (
 from companion.web.settings import check_tiles
 
 LEAST_M = 1e-3
-"""A logarithmic axis has no zero."""
+"""Least value of a logarithmic axis, which has no zero."""
 MAX_EVENTS = 500
 """Rows of the table of events; the event log has all."""
 QUICK_BYTES = 3_000_000
-"""An event log up to this, a quarter of an hour, is a report in well under a second."""
+"""Size of an event log, a quarter of an hour, up to which a report takes well under a second."""
 
 LINK_WORDS = {
     "loss": "share of frames lost",
@@ -99,9 +99,9 @@ class FlightPage:
     verdict: str
     is_passed: bool
     about: str = ""
-    """A sentence below the heading; empty: none."""
+    """Sentence below the heading; empty: none."""
     facts: Sequence[tuple[str, str]]
-    """(name, value) of the figures below the heading."""
+    """Figures below the heading: name and value of each."""
     map: Markup
     map_note: str
     charts: Sequence[Chart | None]

@@ -34,13 +34,13 @@ MOST_WALL_EDGES = 200
 
 
 class Wall(Params, frozen=True):
-    """A building, or another obstacle, that takes its share of a signal on every way through."""
+    """A building, or another obstacle, that attenuates a signal at each wall it passes."""
 
     corners_enu_m: tuple[Point, ...]
     height_m: Positive = 6.0
-    """Above home; the roof counts like a side."""
+    """Height above home; the roof counts like a side."""
     loss_db: NonNegative = 10.0
-    """Brick and light concrete at 1 to 6 GHz take 5 to 15 dB (ITU-R P.2040)."""
+    """Loss at each wall; brick and light concrete at 1 to 6 GHz have 5 to 15 dB (ITU-R P.2040)."""
 
     def __post_init__(self) -> None:
         """Refuse an outline that encloses nothing."""
@@ -53,11 +53,11 @@ class Propagation(NamedTuple):
     """Path loss and fading of an environment."""
 
     exponent: float
-    """Of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
+    """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
     shadowing_db: float
     """Standard deviation of shadowing: 3 to 4 dB in the open, 6 to 8 dB over rubble."""
     correlation_m: float
-    """Way over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
+    """Distance over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
     rice_k_db: float
     """Power of the direct path over that of reflections: 6 to 9 dB in the open, about 0 where the
     direct path is obstructed."""
@@ -93,7 +93,7 @@ class DetectionParams(Params, frozen=True):
     environment: Environment = "unknown"
     """Surroundings of emitter and search, for path loss and shadowing; see `PROPAGATION`."""
     interval_s: Annotated[float, msgspec.Meta(ge=0.01, le=3600.0)] = 1.0
-    """Between two answers, or two requests that may be answered."""
+    """Time between two answers, or between two requests that may be answered."""
     duty_cycle: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
     """Share of the intervals in which the emitter is awake and answers."""
     walls: tuple[Wall, ...] = ()
@@ -236,7 +236,7 @@ class MissTable:
         log_missed = np.log(np.maximum(missed, math.exp(LEAST_LOG)))
         windows = np.arange(count)[:, None] + MARGIN_STEPS * np.arange(offsets)
         self.rows = log_missed[windows].astype(np.float32)
-        """(margins, offsets)."""
+        """Table by margin and offset, (margins, offsets)."""
 
     def index_of(self, margin_db: Floats) -> NDArray[np.int64]:
         """(cells,) rows of margins; those beyond the table have its first or its last."""

@@ -22,11 +22,11 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MOST_CELLS = 40_000
-"""16 km^2 in cells of 20 m; an update takes some 10 ms of one core there."""
+"""Most cells, 16 km^2 in cells of 20 m; an update of so many takes some 10 ms of one core."""
 LEAST_M2 = 1.0
 """Smallest area of a polygon, as for a fence."""
 LEAST_ACROSS = 10
-"""A small area has cells of its shorter side over this, so that a gap in it has a shape."""
+"""Least number of cells over the shorter side of a small area, so that a gap in it has a shape."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,9 @@ class SearchGrid:
     south_m: float
     cell_m: float
     inside: Bools
-    """(rows, columns): True where a cell belongs to the area."""
+    """Membership of each cell, (rows, columns): True where it belongs to the area."""
     poa: Floats
-    """(cells,) of the cells inside, row by row; sums to 1."""
+    """Probability of area of the cells inside, (cells,), row by row; sums to 1."""
 
     @property
     def centres_enu_m(self) -> Floats:
@@ -151,7 +151,8 @@ def are_inside(polygon: Polygon, points: Floats) -> Bools:
 
 LatLon = tuple[float, float]
 MOST_AWAY_KM = 20.0
-"""Farther from the vehicle's origin than any flight: the file is of another place."""
+"""Longest distance of a site from the vehicle's origin, beyond any flight: a file farther away is
+of another place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +173,7 @@ class SiteRaster:
     east_deg: float
     north_deg: float
     weights: Floats
-    """(rows, columns) from the south-west; NaN: outside of the area."""
+    """Weights from the south-west, (rows, columns); NaN: outside of the area."""
 
 
 SearchSite = tuple[SiteArea, ...] | SiteRaster

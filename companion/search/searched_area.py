@@ -12,14 +12,14 @@ out when the state is asked for:
 
     POD = 1 - miss,  POA' = POA miss / sum(POA miss),  POS = sum(POA POD)
 
-A place that is entered again goes on where it was left: its looks are applied again, and what it
+A place that is entered again continues where it was left: its looks are applied again, and what it
 counted for is taken back. That would take long at once, so work is queued, and `advance` does one
 piece of it, an update of all cells. Probabilities are renewed in blocks of cells for the same
 reason.
 
 The searched area at first contact: prior of the emitter's position, and reach of the radio.
 
-Theory of operation of the prior. Where searching has been in vain, the emitter is less likely. The
+Theory of operation of the prior. The emitter is less likely where a search did not hear it. The
 posterior of the grid, POA (1 - POD), is the prior of the first hypotheses. It is limited: alone it
 never decides between two places, because the emitter may also be outside of the area, and a wrong
 reach is an error common to all cells.
@@ -89,7 +89,7 @@ class Look:
     east_m: float
     north_m: float
     up_m: float
-    """Above the ground of the search area."""
+    """Height above the ground of the search area."""
     answers: float
     """Number of answers of an emitter that is always awake."""
 
@@ -138,11 +138,11 @@ class SearchedArea:
         self._centres = grid.centres_enu_m
         cells = len(grid.poa)
         self._left = np.zeros((cells, len(NODE_WEIGHTS)), dtype=np.float32)
-        """(cells, nodes) log probability of a miss, of all places that were left."""
+        """Log probability of a miss, of all places that were left, (cells, nodes)."""
         self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
-        """(cells, offsets) of the place that is listened from."""
+        """Log probability of a miss at the place that is listened from, (cells, offsets)."""
         self.missed: Floats32 = np.tile(GROUP_MATRIX.sum(axis=0), (cells, 1))
-        """(cells, groups) probability of offset group and miss at the last renewal."""
+        """Probability of offset group and miss at the last renewal, (cells, groups)."""
         self._renewing = np.empty_like(self.missed)
         self._renewed_cells = 0
         self._places: dict[Square, _Place] = {}
@@ -174,7 +174,7 @@ class SearchedArea:
             self._pending_s += seconds
 
     def note_contact(self) -> None:
-        """Keep the state until now as that of the first contact; counting may go on."""
+        """Keep the state until now as that of the first contact; counting may continue."""
         self._commit_pending()
         if self._square is not None:
             self._work.append(_Piece(self._square, is_contact=True))
@@ -294,7 +294,7 @@ class SearchState:
 
     grid: SearchGrid
     pod: Floats
-    """(cells,) probability of detection: had the emitter been in the cell, it would have been
+    """Probability of detection, (cells,): had the emitter been in the cell, it would have been
     heard."""
 
     @property
@@ -353,7 +353,7 @@ class SearchPrior:
 
     grid: SearchGrid
     log_map: Floats
-    """(rows, columns); cells of the box that are not of the area count as its mean."""
+    """Log density, (rows, columns); cells of the box that are not of the area count as its mean."""
     shift_en_m: Point = (0.0, 0.0)
     """Sum of the jumps of the vehicle's navigation since it was made."""
 

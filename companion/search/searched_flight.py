@@ -124,7 +124,7 @@ COMPASS = ("E", "NE", "N", "NW", "W", "SW", "S", "SE")
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Cells that hang together and were hardly searched."""
+    """Connected cells that were hardly searched."""
 
     name: str
     """Name for the radio, such as "NE corner"."""
@@ -199,7 +199,8 @@ class SearchAreaParams(Params, frozen=True):
     """The area, the radio's range, and the end of a search without contact."""
 
     detection: DetectionParams | None = None
-    """Null: the radio's range is unknown, and no probability is stated."""
+    """Radio link of the search; null: the radio's range is unknown, and no probability is
+    stated."""
     area_file: str | None = None
     """Possible locations of the emitter, relative to this file: GeoJSON or KML polygons, or an
     ASCII grid or GeoTIFF, in degrees; null: anywhere in the fence."""
@@ -254,7 +255,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     heard: tuple[int, ...] = ()
     """Emitters that were heard and have no report."""
     sought: tuple[int, ...] | None = None
-    """Emitters for which counting went on, by id; empty: any other; None: it ended at contact."""
+    """Emitters for which counting continued, by id; empty: any other; None: it ended at contact."""
     is_radio_heard: bool
     """True if the radio sent anything in this flight; if not, perhaps it never listened."""
     origin: LocalOrigin | None
@@ -264,7 +265,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     reach_from: ReachSource = "configured"
     grid: StoredGrid | None = None
     looks: list[tuple[float, float, float, float]] = []
-    """East, north, height and number of answers."""
+    """Looks, each with east, north, height and number of answers."""
     track: list[tuple[float, float, float, float]] = []
     """Seconds after the beginning, east, north and height above home."""
 

@@ -29,11 +29,11 @@ log = logging.getLogger("companion.view")
 LOOK_S = 0.25
 """Time between two checks for due events."""
 LEAST_S = 1.0
-"""Between two events of an emitter."""
+"""Shortest time between two events of an emitter."""
 AGAIN_S = STALE_AFTER_S / 10.0
 """Time after which an unchanged event is sent again."""
 CHANGE_SHARE = 0.2
-"""A move by this share of R95, or a change of R95 by it, makes an event due."""
+"""Move, or change of R95, as a share of R95, that makes an event due."""
 MAX_PORT = 65_535
 
 

@@ -76,7 +76,8 @@ class HistoryReader:
 
 MOST_CORNERS = 2000
 TOLERANCE_M = 0.25
-"""Half the step of the positions in the event log: a finer line would follow their noise."""
+"""Tolerance of the track, half the step of positions in the event log: a finer line would follow
+their noise."""
 
 
 class FlightTrack(History[Point]):
@@ -169,9 +170,9 @@ class CurveHistory(History[dict[str, object]]):
 
 
 FASTEST = 1
-"""Level of zlib."""
+"""Compression level of zlib."""
 CELL = np.dtype("<f2")
-"""Half precision keeps three digits, as many as are shown."""
+"""Half precision, which keeps three digits, as many as are shown."""
 
 
 @dataclass(frozen=True, slots=True)

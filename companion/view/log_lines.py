@@ -56,7 +56,7 @@ class ConsoleHandler(logging.Handler):
         super().__init__()
         self.writer = _LineWriter(stream)
         self._reported = 0
-        """Lost lines that the log has mentioned."""
+        """Number of lost lines that the log has mentioned."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Queue a line; count it instead if the queue is full."""

@@ -30,9 +30,9 @@ BUTTONS = (
     ),
 )
 ANSWER_S = 1.0
-"""An answer that takes longer is reported as missing ..."""
+"""Time after which an answer is reported as missing."""
 FORGOTTEN_S = 10.0
-"""... and ignored after this time."""
+"""Time after which a missing answer is ignored."""
 
 
 class CommandButtons:

@@ -64,7 +64,7 @@ class Collector(FlightView):
 
     def __init__(self) -> None:
         self.texts: deque[tuple[float, str, str]] = deque(maxlen=TEXTS)
-        """(time_s, severity, text)"""
+        """Texts with their time_s and severity."""
         self.marks: deque[Sample] = deque(maxlen=MARKS)
         self._track, self._curve = FlightTrack(), CurveHistory()
         self._searched = SearchedHistory()
@@ -120,9 +120,9 @@ LAST_WAIT_S = 0.02
 REAP_S = 0.01
 """Longest wait for a killed child to end: the control tick comes next."""
 RESTART_S, LONGEST_RESTART_S = 1.0, 30.0
-"""Time from the child's end to its restart, doubled each time ..."""
+"""Time from the child's end to its restart, doubled each time up to the longest."""
 LASTED_S = 60.0
-"""... until one has lasted for this long."""
+"""Time that a child must have lasted for the next restart to be quick again."""
 COMMANDS = {command.value: command for command in OperatorCommand}
 FAR_AWAY = ("192.0.2.1", 9)
 """Unassigned address (RFC 5737): the route to it leaves by the network's own address."""

@@ -159,7 +159,7 @@ MOST_DATA_BYTES = 512 * 2**20
 OOM_SCORE = b"500"
 """If memory runs out, the kernel ends the page before the flight, which restarts it."""
 MAX_LINE = 4_000_000
-"""A picture has some 20 kB."""
+"""Longest line; a picture has some 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."
 Scope = dict[str, Any]
 Receive = Callable[[], Awaitable[Any]]

@@ -1,7 +1,7 @@
 """The multicopter without its autopilot's rules: body, estimator, battery, sticks, plans, home.
 
-A flavour decides what is flown and who may; it works on this. Positions are in the world's frame,
-local east-north-up about the scenario's origin; time is seconds since boot.
+A flavour decides which mode is flown and who may choose it; it works on this. Positions are in the
+world's frame, local east-north-up about the scenario's origin; time is seconds since boot.
 
 The battery is a four-cell pack that only flying empties. The geofence says what is inside, and how
 far it is to its border. Source: MAVLink common, MAV_CMD_NAV_FENCE_* (5000 to 5004).
@@ -47,7 +47,7 @@ class Battery:
         self.is_known = True
         """True if the reports contain the charge."""
         self.current_ca = IDLE_CURRENT_CA
-        """Hundredths of an ampere."""
+        """Current, hundredths of an ampere."""
 
     def step(self, is_flying: bool, dt_s: float) -> None:
         """Draw for `dt_s` seconds."""
@@ -162,7 +162,7 @@ class Occurrence:
     """Event that an operator would want to read."""
 
     time_s: float
-    """Since boot."""
+    """Time since boot, s."""
     mode: FlightMode
     is_armed: bool
     text: str
@@ -178,7 +178,7 @@ class Aircraft:
     """
 
     landed_until_s = -math.inf
-    """Until then the land detector reports the ground, wherever the vehicle is."""
+    """Time until which the land detector reports the ground, wherever the vehicle is."""
 
     def __init__(
         self,

@@ -54,7 +54,7 @@ class Setpoint:
     acceleration_enu_mps2: PositionEnu | None = None
     yaw_ned_rad: float | None = None
     yaw_rate_ned_radps: float | None = None
-    """Clockwise positive."""
+    """Yaw rate, clockwise positive."""
 
 
 class SetpointMonitor:
@@ -118,12 +118,11 @@ def turned(forward: float, right: float, yaw_ned_rad: float) -> Point:
 
 STICK_RANGE = 1000.0
 JOYSTICK_TIMEOUT_S = 0.5
-"""A joystick that has been silent for this long is gone (PX4 COM_RC_LOSS_T); ArduPilot has
-RC_OVERRIDE_TIME."""
+"""Silence after which a joystick is gone (PX4 COM_RC_LOSS_T); ArduPilot has RC_OVERRIDE_TIME."""
 MOVED = 0.3
 """Deflection that takes over from an automatic mode (PX4 COM_RC_STICK_OV, 30 %)."""
 DEAD_ZONE = 0.1
-"""Deflection up to which a stick is let go (PX4 MPC_HOLD_DZ)."""
+"""Deflection up to which a stick counts as released (PX4 MPC_HOLD_DZ)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +133,7 @@ class Sticks:
     right: float = 0.0
     up: float = 0.0
     yaw: float = 0.0
-    """Clockwise positive."""
+    """Deflection of yaw, clockwise positive."""
 
     @property
     def deflection(self) -> float:
@@ -172,7 +171,7 @@ class StickInput:
 
     def __init__(self, params: RcParams) -> None:
         self.joystick_timeout_s = JOYSTICK_TIMEOUT_S
-        """A joystick or an override that was silent for this long has ended."""
+        """Silence after which a joystick or an override has ended."""
         self.resting = CENTRED if params.is_present else None
         """Rest positions of the transmitter's sticks; None without a transmitter."""
         self._joystick: Sticks = CENTRED
@@ -222,7 +221,7 @@ class StickInput:
 
 
 Axes = tuple[float | None, float | None, float | None]
-"""East, north and up; None where nothing is asked."""
+"""Vector east, north and up; None on an axis that is not commanded."""
 NOTHING: Axes = (None, None, None)
 AXIS_BITS = (
     *(dialect.Y_IGNORE, dialect.X_IGNORE, dialect.Z_IGNORE),
@@ -242,13 +241,13 @@ class Echo:
     acceleration_enu_mps2: Axes = NOTHING
     yaw_ned_rad: float | None = None
     yaw_rate_ned_radps: float | None = None
-    """Clockwise positive."""
+    """Yaw rate, clockwise positive."""
     nothing: float = 0.0
     """Value of a field without a meaning."""
 
     @property
     def type_mask(self) -> int:
-        """POSITION_TARGET_TYPEMASK."""
+        """Mask of ignored fields, POSITION_TARGET_TYPEMASK."""
         axes = (*self.place_enu_m, *self.velocity_enu_mps, *self.acceleration_enu_mps2)
         mask = sum(bit for axis, bit in zip(axes, AXIS_BITS, strict=True) if axis is None)
         mask |= 0 if self.yaw_ned_rad is not None else dialect.YAW_IGNORE
@@ -256,6 +255,6 @@ class Echo:
 
     @property
     def whole_place(self) -> PositionEnu | None:
-        """The place, if all of it is asked for."""
+        """The position, if all of it is commanded."""
         east, north, up = self.place_enu_m
         return None if east is None or north is None or up is None else (east, north, up)

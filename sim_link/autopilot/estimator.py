@@ -5,7 +5,7 @@ autopilot's local frame has its zero at the EKF origin, which a station may move
 (SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: the navigation's error
 (`navigation`), commanded jumps, and the drift while there is no fix. White noise is in the reports
 only. An autopilot steers by its estimate. The navigation's error is in that estimate, and so in
-every place that it holds. A target goes into that frame, the world's as GNSS shows it, through
+every position that it holds. A target goes into that frame, the world's as GNSS shows it, through
 `world_from_local` or `world_from_geodetic`, which subtract jumps and drift; a place that it merely
 holds stays where it is then, because a real estimator announces a reset to its controllers.
 
@@ -43,11 +43,11 @@ class FixChange(Params, frozen=True):
     """Change of the kind of fix at a time."""
 
     at_s: NonNegative
-    """Since boot."""
+    """Time since boot."""
     fix: FixName
     sigma_m: NonNegative
     height_sigma_m: NonNegative | None = None
-    """None: as before."""
+    """Standard deviation of the height; None: as before."""
 
 
 class NavigationParams(Params, frozen=True):
@@ -55,9 +55,9 @@ class NavigationParams(Params, frozen=True):
 
     fix: FixName = "rtk_fixed"
     sigma_m: NonNegative = 0.0
-    """Horizontal, per axis."""
+    """Standard deviation of the horizontal position, per axis."""
     time_constant_s: Positive = 300.0
-    """After which it has forgotten itself to 1/e."""
+    """Time constant after which the error's correlation has fallen to 1/e."""
     height_sigma_m: NonNegative = 0.0
     height_time_constant_s: Positive = 300.0
     compass_error_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0
@@ -96,7 +96,7 @@ class NavigationError:
         self._coming = sorted(params.fix_changes, key=lambda each: each.at_s, reverse=True)
         self.fix: FixName = params.fix
         self.sigma_m = params.sigma_m
-        """Per horizontal axis, of now."""
+        """Present standard deviation, per horizontal axis."""
         self.height_sigma_m = params.height_sigma_m
         self._normals: list[float] = rng.standard_normal(3).tolist()
 
@@ -107,7 +107,7 @@ class NavigationError:
         return (self.sigma_m * e, self.sigma_m * n, self.height_sigma_m * u)
 
     def step(self, now_s: float, dt_s: float) -> None:
-        """Go on for `dt_s` to `now_s` seconds since boot; always draws as much."""
+        """Advance by `dt_s` to `now_s` seconds since boot; always draws as much."""
         params = self._params
         fresh: list[float] = self._rng.standard_normal(3).tolist()
         kept = math.exp(-dt_s / params.time_constant_s)

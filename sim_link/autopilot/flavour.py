@@ -46,7 +46,7 @@ FAILED = CommandResult.FAILED
 UNSUPPORTED_MAV_FRAME = CommandResult.UNSUPPORTED_MAV_FRAME
 
 MAX_DISTANCE_M = 1e5
-"""Beyond it a flat local frame means nothing."""
+"""Longest distance for which a flat local frame is valid."""
 MAX_HEIGHT_M = 1000.0
 """Largest height above home of a take-off or a goal, in m."""
 CHANGE_MODE_FLAG = 1
@@ -129,7 +129,7 @@ class Firmware(NamedTuple):
     busy: CommandResult
     """Result of a calibration or restart command while armed."""
     calibrates_at_once: bool
-    """Otherwise it takes its time, and reports progress."""
+    """True if a calibration is done at once; otherwise it takes its time, and reports progress."""
     termination: tuple[int, str]
     """MAV_SEVERITY and text of a flight termination."""
     keeps_given_home: bool
@@ -148,15 +148,16 @@ class Firmware(NamedTuple):
     """Baud rate by which the arrival of a TIMESYNC request is dated back; null: it is not."""
     answers_ping: bool
     reports_mode_at_once: bool
-    """An extra HEARTBEAT on every change of mode."""
+    """True if every change of mode sends an extra HEARTBEAT."""
     obeys_rc_override: bool
     takes_origin: bool
     """True if a station may move the EKF origin; otherwise it comes from GNSS."""
     first_mission_item: int
-    """1 where item 0 is home."""
+    """Index of the first mission item that is flown: 1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
     answers_for_others: bool
-    """Obeys commands to components of its system that were never heard, and answers as itself."""
+    """True if it obeys commands to components of its system that were never heard, and answers as
+    itself."""
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
     gives_plan_ids: bool = False
@@ -215,10 +216,10 @@ class AutopilotFlavour(ABC):
         """Handler of each MAV_CMD; any other command is unsupported."""
         self.setpoints = SetpointMonitor()
         self.occurrences: list[Occurrence] = []
-        """Since the list was last emptied by its reader."""
+        """Occurrences since the list was last emptied by its reader."""
         self.leg: MissionLeg | None = None
         self.changes = 0
-        """Counts up with every change of mode or arming."""
+        """Number of changes of mode and arming."""
         self._seen: tuple[FlightMode, bool, Task] | None = None
         self._landed_s: float | None = None
 
@@ -366,7 +367,7 @@ class AutopilotFlavour(ABC):
         self.note(now_s, ", ".join(texts))
 
     def send_rejection(self, prefix: str, why: str | None) -> None:
-        """Say why it cannot be armed, if it cannot."""
+        """Send a text with the reason why it cannot be armed, if there is one."""
         if why is not None:
             self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
 

@@ -97,7 +97,7 @@ class PilotSticks(IncidentRecord, frozen=True, tag="pilot_sticks"):
     right: Deflection = 0.0
     up: Deflection = 0.0
     yaw: Deflection = 0.0
-    """Clockwise positive."""
+    """Deflection of yaw, clockwise positive."""
 
 
 class RcLoss(IncidentRecord, frozen=True, tag="rc_loss"):
@@ -134,7 +134,7 @@ class EkfJump(IncidentRecord, frozen=True, tag="ekf_jump"):
     north_m: Coordinate = 0.0
     up_m: Coordinate = 0.0
     yaw_deg: Angle = 0.0
-    """Clockwise."""
+    """Step of the heading, clockwise positive."""
 
 
 class OriginShift(IncidentRecord, frozen=True, tag="origin_shift"):
@@ -149,7 +149,7 @@ class BatteryCharge(IncidentRecord, frozen=True, tag="battery"):
     """The charge changes at once; event."""
 
     share: Share | None = 0.14
-    """0 to 1; None: unknown from now on, and reported so."""
+    """Charge, 0 to 1; None: unknown from now on, and reported so."""
 
 
 class WindChange(IncidentRecord, frozen=True, tag="wind"):
@@ -176,7 +176,7 @@ class ClockSlip(IncidentRecord, frozen=True, tag="clock_slip"):
     """Jump of the vehicle's clock; event."""
 
     step_s: ClockStep = -0.7
-    """Ahead is positive."""
+    """Step of the clock, ahead positive."""
 
 
 class AutopilotStall(IncidentRecord, frozen=True, tag="autopilot_stall"):
@@ -196,7 +196,7 @@ class StationFence(StationRecord, frozen=True, tag="station_fence"):
     """Upload of another fence, a square or a circle, or its removal; event."""
 
     half_side_m: Positive | None = 30.0
-    """Or the radius; None: the fence is cleared."""
+    """Half the side of the square, or the radius; None: the fence is cleared."""
     east_m: Coordinate = 0.0
     north_m: Coordinate = 0.0
     is_circle: bool = False
@@ -215,7 +215,7 @@ class StationRates(StationRecord, frozen=True, tag="station_rates"):
 
     message: str = "LOCAL_POSITION_NED"
     rate_hz: NonNegative = 1.0
-    """0: off."""
+    """New rate; 0: off."""
 
 
 class StationHome(StationRecord, frozen=True, tag="station_home"):
@@ -236,9 +236,9 @@ class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
     """Another vehicle in the air is heard on the link, with its own clock and companion."""
 
     system_id: Annotated[int, msgspec.Meta(ge=1, le=255)] = 2
-    """The same as ours where two left their factory alike."""
+    """System id of the other vehicle; the same as ours if both have their factory setting."""
     has_own_address: bool = True
-    """Otherwise a router brings both by the address of ours."""
+    """True if it has an address of its own; otherwise a router brings both by ours."""
     vehicle_type: VehicleTypeName = "quadrotor"
     flavour: Literal["same", "px4", "ardupilot"] = "same"
     uptime_s: NonNegative = 500.0

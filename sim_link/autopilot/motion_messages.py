@@ -20,7 +20,7 @@ from sim_link.world.point_mass import GRAVITY_MPS2
 Fields = tuple[object, ...]
 INT16_MAX = 0x7FFF
 FARTHEST_M = 1e7
-"""A target beyond this has no latitude."""
+"""Longest distance of a target whose latitude can be computed."""
 UINT16_MAX, UINT32_MAX = 0xFFFF, 0xFFFF_FFFF
 STILL = (0.0, 0.0, 0.0)
 FIX_TYPES: dict[FixName, int] = {

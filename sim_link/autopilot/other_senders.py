@@ -1,8 +1,8 @@
 """Other senders beside the vehicle: its radio payload, components, and a second ground station.
 
 The radio payload measures the emitters and sends what it heard. A radio that integrates, averages
-or buffers reports late: what it sends and stamps now it measured `lag_s` ago, from the place and
-with the attitude of then.
+or buffers reports late: what it sends and stamps now it measured `lag_s` ago, at the position and
+attitude of that time.
 
 Each other component sends a HEARTBEAT a second, and what is typical of it. They are no part of the
 autopilot, and are heard on all of its links, as components are whose frames it passes on.
@@ -56,7 +56,7 @@ class Identity(NamedTuple):
     mav_type: int
     autopilot: int = mavlink.MAV_AUTOPILOT_INVALID
     system_id: int | None = None
-    """None: the vehicle's."""
+    """System id; None: the vehicle's."""
 
 
 IDENTITIES: Mapping[ComponentName, Identity] = {

@@ -50,7 +50,7 @@ class OriginParams(Params, frozen=True):
     latitude_deg: Latitude = 47.397742
     longitude_deg: Longitude = 8.545594
     altitude_m: SeaLevelAltitude = 488.0
-    """Above mean sea level; the ground is flat at this altitude."""
+    """Altitude of the origin above mean sea level; the ground is flat there."""
 
 
 class AutopilotParams(Params, frozen=True):
@@ -62,8 +62,8 @@ class AutopilotParams(Params, frozen=True):
     uid: Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None = None
     """Hardware id that AUTOPILOT_VERSION reports; null: the system id; 0: none."""
     offers_offboard: bool = False
-    """A script of an ArduCopter registered mode 30, OFFBOARD, which flies as GUIDED does, and the
-    vehicle answers AVAILABLE_MODES, as ArduCopter 4.7 does."""
+    """True if a script of an ArduCopter registered mode 30, OFFBOARD, which flies as GUIDED does,
+    and the vehicle answers AVAILABLE_MODES, as ArduCopter 4.7 does."""
     ready_after_s: NonNegative = 2.0
     """Seconds after boot until it can be armed."""
     offboard_loss_timeout_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 1.0
@@ -71,11 +71,12 @@ class AutopilotParams(Params, frozen=True):
     offboard_loss_action: LossAction = "position"
     """Reaction to lost setpoints (PX4 COM_OBL_RC_ACT)."""
     takeoff_altitude_m: FlightAltitude = 2.5
-    """Above home, when the takeoff command names none (PX4 MIS_TAKEOFF_ALT)."""
+    """Takeoff altitude above home, when the command names none (PX4 MIS_TAKEOFF_ALT)."""
     return_altitude_m: FlightAltitude = 30.0
-    """Above home, for RETURN (PX4 RTL_RETURN_ALT)."""
+    """Altitude of RETURN above home (PX4 RTL_RETURN_ALT)."""
     disarm_after_landing_s: NonNegative = 2.0
-    """PX4 COM_DISARM_LAND; ArduPilot disarms a second after LAND and RTL ended."""
+    """Delay of disarming after a landing (PX4 COM_DISARM_LAND); ArduPilot disarms a second after
+    LAND and RTL ended."""
     streams: Literal["all", "asked"] = "all"
     """Streams that PX4 sends without a request: its onboard link's, or HEARTBEAT (a link in mode
     Custom)."""

@@ -65,7 +65,7 @@ MAV_TYPE: Mapping[VehicleTypeName, int] = {
     name: getattr(mavlink, f"MAV_TYPE_{OTHER_TYPE_NAMES.get(name, name.upper())}")
     for name in get_args(VehicleTypeName)
 }
-"""However it is called, it moves as the simulated multicopter does."""
+"""MAV_TYPE by name of the vehicle; each moves as the simulated multicopter does."""
 
 
 def heartbeat(vehicle: SimVehicle) -> Fields:

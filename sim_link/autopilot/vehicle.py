@@ -195,9 +195,11 @@ def _apply_to_estimator(
 
 TRACK_PERIOD_S = 0.5
 MAX_OCCURRENCES = 10_000
-"""A report of a flight that flaps for days stays readable, and the memory bounded."""
+"""Most occurrences that are kept: a report of a flight that flaps for days stays readable, and the
+memory bounded."""
 MAX_TRACK_POINTS = 7_200
-"""An hour at first; beyond it every other point is dropped, and half as many follow."""
+"""Most points of the track, an hour at first; beyond it every other point is dropped, and half as
+many follow."""
 
 
 class FlightRecorder:

@@ -32,7 +32,7 @@ from sim_link.emulators.emulator import (
 )
 
 FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
-"""Frequency of emitter 0, and the steps to the next."""
+"""Frequency of emitter 0, and the steps to the next one, Hz."""
 MOST_CONFIDENCE = 99.0
 STATION = "S1"
 RING = tuple(f"{0.5 + 0.5 * math.cos(math.radians(degree)):.2f}" for degree in range(360))

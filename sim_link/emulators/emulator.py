@@ -45,12 +45,12 @@ class Answer:
 
     @property
     def azimuth_rad(self) -> float | None:
-        """Clockwise from boresight."""
+        """Azimuth, clockwise from boresight."""
         return None if self.heard is None else self.heard.bearing_body_rad
 
     @property
     def elevation_rad(self) -> float | None:
-        """Upwards."""
+        """Elevation, positive upwards."""
         return None if self.heard is None else self.heard.elevation_rad
 
     @property
@@ -104,7 +104,7 @@ class Emulator(ABC):
     """Antenna of the real radio, emulated unless the scenario has another."""
     measures: ClassVar[Measures] = "range"
     rate_hz: ClassVar[float] = 10.0
-    """Usual."""
+    """Usual rate of the real radio."""
     names: ClassVar[str] = "{0}"
     """Template of an emitter's name, by its id (0) or address; empty: the format has no names."""
     first: ClassVar[int] = 0
@@ -124,7 +124,7 @@ class Emulator(ABC):
     epoch_s: ClassVar[float] = 0.0
     """Epoch of its clock; 0 is power-on."""
     banner: ClassVar[bytes] = b""
-    """Text at power-on."""
+    """Text that it prints at power-on."""
 
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         self._clock_s = clock_s

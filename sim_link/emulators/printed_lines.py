@@ -201,7 +201,7 @@ class Bu01(RangeLines):
     line = "an{id}:{range_m:.2f}m"
 
     def hear(self, data: bytes) -> bytes:
-        """Return nothing: ranging goes on already."""
+        """Return nothing: ranging is running already."""
         return lines(["+switchdis=OK"]) if b"switchdis" in data else b""
 
 

@@ -48,7 +48,7 @@ def q9_7(angle_deg: float) -> int:
 
 
 def fom_angle(angle_deg: float | None, fom: int) -> bytes:
-    """Return an angle and how good it is."""
+    """Return an angle and its figure of merit."""
     if angle_deg is None:
         return b"\0\0\0"
     return struct.pack("<hB", q9_7(angle_deg), fom)

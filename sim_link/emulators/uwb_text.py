@@ -28,7 +28,7 @@ from sim_link.emulators.emulator import LINE_END, U32, Answer, Emulator, Round, 
 PROMPT = "dwm> "
 SLOTS = 8
 SUPERFRAME_US = 100_000
-"""A kit's; the time of a range is one within it."""
+"""Length of a kit's superframe, in which the time of a range lies."""
 
 
 def dist_line(

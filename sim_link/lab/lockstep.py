@@ -5,9 +5,9 @@ arrivals and actions in the order in which they were posted, physics, radio, con
 whatever those sent if the wire delivers it at once. So a flight depends on its configuration,
 scenario, seed, wire and actions only, and two of the same give the same bytes.
 
-The companion is the process that it is: it may be killed, restarted, asked to stop, and
-suspended. A suspended one gets what its socket held, in order, when it goes on; the socket holds
-no more than Linux gives it by default, and drops the rest.
+The companion is the process that it is: it may be killed, restarted, asked to stop, and suspended.
+A suspended one gets what its socket held, in order, when it continues; the socket holds no more
+than Linux gives it by default, and drops the rest.
 """
 
 from __future__ import annotations
@@ -314,7 +314,7 @@ class Flight:
         self.observers.notify("companion_started", self.now_s)
 
     def kill_companion(self) -> None:
-        """End the process without a word (SIGKILL, power)."""
+        """End the process without warning (SIGKILL, power)."""
         if self.is_companion_up:
             self.companion.take_output()
             self._end_companion()

@@ -1,4 +1,4 @@
-"""The wire between companion and vehicle, and who watches the frames on it.
+"""The wire between companion and vehicle, and observers of the frames on it.
 
 A datagram goes into the wire, and is delayed or dropped. Observers see every frame that was sent or
 heard, and every step of the truth.

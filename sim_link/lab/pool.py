@@ -52,9 +52,10 @@ GRACE_S = 10.0
 CONNECT_S = 3.0
 FIRST_WORKER_S = 5.0
 FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
-"""A scheduler greets each client with the number of its handshake's frames, which are few."""
+"""Greeting of a dask scheduler, the number of its handshake's frames, and the largest such
+number."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Set to 1 for processes that are as many as there are cores."""
+"""Variables that are 1 in processes of which there are as many as cores."""
 
 ROOT, PACKAGES = (
     Path(__file__).resolve().parents[2],

@@ -67,7 +67,7 @@ class GeodeticEmitter:
     latitude_deg: float
     longitude_deg: float
     altitude_m: float | None
-    """Above mean sea level; None: at the height of the local origin."""
+    """Altitude above mean sea level; None: that of the local origin."""
 
     def local(self, origin: LocalOrigin) -> Emitter:
         """Return the same in the local frame."""

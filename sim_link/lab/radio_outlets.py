@@ -178,7 +178,7 @@ def messages_of(frames: bytes) -> list[str | bytes]:
 
 
 class HttpLink(Link):
-    """A port that answers every question for the document with the latest."""
+    """A port that answers every request for the document with the latest one."""
 
     def __init__(self, page: PageAddress, index: int) -> None:
         super().__init__(f"http {page.host}:{page.port}", index, lambda _: None)
@@ -208,7 +208,7 @@ class HttpLink(Link):
         self.counters.sent += 1
 
     def close(self) -> None:
-        """Close the port; who is being answered is left alone."""
+        """Close the port; a client that is being answered is served to the end."""
         if self._server is not None:
             self._server.close()
             self._server = None

@@ -14,7 +14,7 @@ the squared length of a pair of standard normals, which the uniform and the expo
 draw are in polar coordinates (G. E. P. Box, M. E. Muller, 1958): that pair is the process, with
 twice the correlation length, because squaring halves it. With L = 0 the extra is the drawn one.
 
-Obstacles stand in the way of the radio only: who flies must know of them by other means.
+Obstacles block the radio only: the flight has to avoid them by other means.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ChannelParams(Params, frozen=True):
 
     range_offset_m: float = 1.5
     bearing_offset_deg: float = -3.0
-    """Counter-clockwise positive, as the paper's angles are."""
+    """Bearing offset, counter-clockwise positive, as the paper's angles are."""
     p_nlos: Share = 0.9
     """Probability of an obstructed path in the open, outside of every obstacle's shadow."""
     range_bias_mean_m: NonNegative = 8.0
@@ -63,7 +63,7 @@ class LossParams(Params, frozen=True):
     exponent: Positive = 2.0
     """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
     wall_db: NonNegative = 10.0
-    """Lost at each wall of the obstacles on the straight path."""
+    """Loss at each wall of the obstacles on the straight path."""
     shadow_sigma_db: NonNegative = 4.0
     """Spatially correlated shadowing, over the channel's `correlation_m`."""
     fading_sigma_db: NonNegative = 3.0
@@ -96,11 +96,11 @@ class FieldChannelParams(ChannelParams, frozen=True):
     burial_m: NonNegative = 0.0
     """Thickness of the level slab that the emitter lies under."""
     permittivity: Permittivity = 7.0
-    """Relative, of the slab: concrete 6 to 8, dry rubble 2 to 4."""
+    """Relative permittivity of the slab: concrete 6 to 8, dry rubble 2 to 4."""
     p_gross: Share = 0.0
     """Share of the directions that come from anywhere."""
     gross_correlation_m: NonNegative = 5.0
-    """Way over which these last; 0: every draw is new."""
+    """Distance over which these last; 0: every draw is new."""
     loss: LossParams | None = None
     """Model of packet loss; None: no loss."""
 
@@ -120,7 +120,7 @@ def in_the_field(params: ChannelParams) -> FieldChannelParams:
 
 EmitterId = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
-"""Local metres; beyond 100 km a flat local frame means nothing."""
+"""Local coordinate in metres; beyond 100 km a flat local frame is not valid."""
 
 
 class EmitterParams(Params, frozen=True):
@@ -130,7 +130,7 @@ class EmitterParams(Params, frozen=True):
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)
     height_m: Coordinate = 0.0
     channel: FieldChannelParams | None = None
-    """Its channel, whose missing keys are canonical; None: the scenario's `channel`."""
+    """Channel of this emitter, whose missing keys are canonical; None: the scenario's `channel`."""
     quality: Share | None = None
     """Signal quality that the radio reports; None: none."""
 
@@ -156,7 +156,7 @@ class Emitter:
 
 
 LEAST_OBSTACLE_M2 = 1e-3
-"""A mast is an obstacle too."""
+"""Least area of an obstacle: a mast is one, too."""
 
 Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_length=3)]
 
@@ -168,7 +168,7 @@ class ObstacleParams(Params, frozen=True):
     """A simple polygon, in either direction; not closed."""
     name: str = "obstacle"
     height_m: Positive | None = None
-    """A path that passes above this is free; None: higher than anything flies."""
+    """Height above which a path is free; None: higher than anything flies."""
 
     def __post_init__(self) -> None:
         """Refuse a polygon that encloses nothing or crosses itself."""
@@ -189,7 +189,7 @@ class ShadowParams(Params, frozen=True):
     bearing_bias_sigma_deg: NonNegative = 5.0
     """Sigma of the normal error beyond the pull."""
     correlation_m: NonNegative = 10.0
-    """Distance over which the two on top forget themselves to 1/e; 0: every draw is new."""
+    """Distance over which the correlation of both errors falls to 1/e; 0: every draw is new."""
 
 
 class OpenPath(NamedTuple):

@@ -34,7 +34,7 @@ COLUMNS = 6
 
 CORNER_SLACK_M = 1e-6
 NOWHERE = -1.0
-"""A share of a path that there is not."""
+"""Share of a path that means "no intersection"."""
 
 Flags = NDArray[np.bool_]
 
@@ -46,11 +46,11 @@ class Surroundings(NamedTuple):
     north_m: float
     up_m: float
     edges: Matrix
-    """(k, 6) the walls, those of one obstacle in a row."""
+    """Walls, (k, 6), those of one obstacle in a row."""
     corners: Matrix
-    """(c, 3) places that a way may turn at, and the length of the way from there, metres."""
+    """Corners that a path may turn at, and the length of the path from there, metres, (c, 3)."""
     lets_out: Flags
-    """(k,) True for walls of obstacles that contain the emitter, which do not block it."""
+    """Flags of walls, (k,): True for obstacles that contain the emitter, which do not block it."""
 
 
 @kernel

@@ -78,7 +78,7 @@ class MulticopterParams(Params, frozen=True):
     """Limits and response of the multicopter."""
 
     max_speed_mps: Speed = 10.0
-    """Horizontal."""
+    """Largest horizontal speed."""
     max_climb_mps: Speed = 3.0
     max_descent_mps: Speed = 1.5
     landing_speed_mps: Speed = 0.7
@@ -101,7 +101,7 @@ class WindParams(Params, frozen=True):
     gust_sigma_mps: Annotated[float, msgspec.Meta(ge=0.0, le=30.0)] = 0.0
     """Standard deviation per horizontal axis of the gusts on top of it."""
     gust_time_constant_s: Positive = 2.0
-    """After which a gust has forgotten itself to 1/e."""
+    """Time constant after which a gust's correlation has fallen to 1/e."""
     let_through: Share = 0.1
     """Share of the wind that the velocity controller fails to cancel."""
 

@@ -198,9 +198,9 @@ class Printed(NamedTuple):
     """Angles as a radio prints them, in its antenna's frame; None: not measured."""
 
     bearing_rad: float
-    """Clockwise from boresight, or the arcsine of the direction cosine to the right."""
+    """Bearing, clockwise from boresight, or the arcsine of the direction cosine to the right."""
     elevation_rad: float | None
-    """Arcsine of the direction cosine upwards."""
+    """Elevation, or the arcsine of the direction cosine upwards."""
     is_array_angle: bool
     """True if the bearing is an arcsine."""
 

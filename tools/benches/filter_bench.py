@@ -66,11 +66,11 @@ class Walk:
     case: Case
     system: System
     track_enu_m: Matrix
-    """(n, 2)"""
+    """Positions of the sensor, (n, 2), metres."""
     z: Matrix
-    """(n, 3) range, bearing and no elevation."""
+    """Measurements, (n, 3): range, bearing and no elevation."""
     picks: Vector
-    """(n,) draws of the planner."""
+    """Draws of the planner, (n,)."""
     belief: WalkFilter
     steering: WalkSteering
 

@@ -22,7 +22,8 @@ from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, flavour_of, 
 RATES = (0.95, 0.988, 1.0, 1.05)
 SLIPS_S = (-2.0, -0.7, 1.0, 5.0)
 FIRST_SLIP_S, LAST_SLIP_S = 5.0, 40.0
-"""A clock that goes back to its first second looks like that of a restarted autopilot."""
+"""Times of slips; a clock that goes back to its first second looks like that of a restarted
+autopilot."""
 MOST_SLIPS = 3
 FLIGHT_S, FENCE_M = 180.0, 150.0
 LONGEST_HOLD_S, WORST_ERROR_M = 6.0, 1.5

@@ -88,7 +88,7 @@ class Part:
     title: str
     run: Callable[[Trial], TrialOutcome]
     cost_s: float = 1.0
-    """About how long a trial of size 1 takes one core; for progress and fair shares."""
+    """Seconds of one core that a trial of size 1 takes, about; for progress and fair shares."""
     base_cost_s: float = 0.0
     """Additional time in s of every trial, regardless of its size."""
     split: Callable[[float], tuple[int, float]] = lambda amount: (round(amount), 1.0)
@@ -154,7 +154,7 @@ def snapshot_of(flight: Flight) -> tuple[str, object]:
 
 
 ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
-"""A companion that launches by itself and never has enough of its target."""
+"""Configuration of a companion that launches by itself and never stops searching."""
 
 
 def flavour_of(seed: int) -> FlavourName:
@@ -224,7 +224,7 @@ def monitored_flight(
 
 
 def launched_flight(seed: int, salt: int) -> tuple[Monitored, Dice]:
-    """Return a flight that the companion launches, with either autopilot, and salted dice."""
+    """Return a flight that the companion launches, with either autopilot, and its generator."""
     dice = Dice(np.random.default_rng((seed, salt)))
     scenario = Scenario(autopilot=AutopilotParams(flavour=dice.flavour()))
     return monitored_flight(ENDLESS, scenario, seed), dice

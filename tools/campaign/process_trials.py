@@ -30,11 +30,12 @@ from tools.campaign.flights import Dice, Part, Trial, TrialOutcome, launched_fli
 KILL_EARLIEST_S, KILL_LATEST_S = 1.0, 45.0
 KILL_AFTER_S = 12.0
 LAUNCHED = 0x1C7
-"""Salt of the dice, for kills and stops the same."""
+"""Salt of the generators' seeds, for kills and stops the same."""
 AIRBORNE_M = 0.5
 TAKES_CONTROL = (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF)
 HOLD_S, EXIT_S = 1.0, 2.0
-"""After a stop: the autopilot's own hold is confirmed, and the process is gone."""
+"""Longest times after a stop until the autopilot's own hold is confirmed, and the process is
+gone."""
 CUTS_PER_TRIAL = 40
 """Damaged checkpoints that one trial starts from."""
 
@@ -144,7 +145,7 @@ SPEED = 3.0
 SIGNAL_EARLIEST_S, SIGNAL_LATEST_S = 0.5, 36.0
 """Instants, in seconds of the flight."""
 DOWN_S = (0.1, 1.0)
-"""Between a kill and the next start."""
+"""Time between a kill and the next start."""
 SIGNAL_AFTER_S = 6.0
 """Time for which the next one is watched, in seconds of the flight."""
 START_S = 60.0

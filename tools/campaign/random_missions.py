@@ -87,7 +87,8 @@ PLANNERS: tuple[schema.CrossingKind | schema.PatternKind, ...] = (
 SIGNED_SHARE = 0.3
 OPERATED_SHARE = 0.4
 REACH_M = 25.0
-"""Of the radio in searches by probability: from most start positions the emitter is not heard."""
+"""Reach of the radio in searches by probability: from most start positions the emitter is not
+heard."""
 ALTITUDE_M = 15.0
 FLIGHT_S = 50.0
 """Flight time from the beginning of the schedule."""

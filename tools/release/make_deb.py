@@ -37,7 +37,7 @@ PYTHONS = ("3.11", "3.13")
 """Debian 12 and Raspberry Pi OS of 2023; Debian 13 and Raspberry Pi OS of 2025."""
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 GLIBCS = ("_2_28", "_2_27", "_2_26", "_2_17", "_2_12", "_2_5", "2014", "2010", "1")
-"""glibc versions, or years, of the accepted wheels: Debian 12 has 2.36."""
+"""Versions of glibc, or years, that accepted wheels may name: Debian 12 has 2.36."""
 EXTRAS = (
     f"companion-guidance[mcap]=={__version__}",
     f"companion-sim-link=={__version__}",

@@ -36,6 +36,7 @@ class Docstring(NamedTuple):
     """Docstring of a module, class, function, attribute or constant."""
 
     place: str
+    name: str
     text: str
 
 
@@ -51,9 +52,24 @@ def docstrings() -> Iterator[Docstring]:
     for path in files_of(*PACKAGES):
         if path.suffix == ".py":
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-                    place = f"{path.relative_to(ROOT)}:{node.lineno}"
-                    yield Docstring(place, inspect.cleandoc(str(node.value.value)))
+                body = getattr(node, "body", None)
+                statements = body if isinstance(body, list) else []
+                for index, each in enumerate(statements):
+                    if (
+                        isinstance(each, ast.Expr)
+                        and isinstance(each.value, ast.Constant)
+                        and isinstance(each.value.value, str)
+                    ):
+                        place = f"{path.relative_to(ROOT)}:{each.lineno}"
+                        name = _name_of(statements[index - 1] if index else node)
+                        yield Docstring(place, name, inspect.cleandoc(each.value.value))
+
+
+def _name_of(node: ast.AST) -> str:
+    """Return the name that a reader sees above a docstring; empty: a module."""
+    if isinstance(node, ast.Assign | ast.AnnAssign):
+        return ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
+    return str(getattr(node, "name", ""))
 
 
 def operator_texts() -> list[str]:
@@ -95,7 +111,7 @@ def main() -> int:
         return int(any(len(lines) > LIMITS[kind] for kind, lines in found.items()))
     draw = random.Random(options.seed)
     for each in draw.sample(list(docstrings()), 60):
-        print(f"{each.place}\n    " + each.text.replace("\n", "\n    "))
+        print(f"{each.place} {each.name}\n    " + each.text.replace("\n", "\n    "))
     print(*draw.sample(operator_texts(), 40), sep="\n")
     return 0
 

@@ -87,14 +87,14 @@ class Case(Params, frozen=True):
     """Noise model that the filter assumes."""
     steps: Annotated[int, msgspec.Meta(ge=1)] = 500
     step_m: Positive = 5.0
-    """Flown between two measurements. Paper: eta."""
+    """Distance between two measurements. Paper: eta."""
     first_estimate: FirstEstimate = "measured"
     """The first measurement inverted, or a draw over the area that it then corrects."""
     offsets: Offsets = "fixed"
-    """Those of the channel, or a draw from the filter's priors for each run."""
+    """Source of the offsets: the channel, or a draw from the filter's priors for each run."""
     lane_spacing_m: Positive = 5.0
     first_lane_north_m: NonNegative | None = None
-    """None: half a spacing inside the area."""
+    """First lane from the south; None: half a spacing inside the area."""
     crossing_distance_m: Positive = 20.0
     """Crossing distance of reactive crossing. Paper: l."""
     stop_distance_m: NonNegative = 0.0

@@ -42,7 +42,7 @@ SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 def flown(task: FieldFlight) -> tuple[Matrix, Vector]:
-    """Return the true way, (n, 7): time, position, attitude at each measurement; and errors (n,).
+    """Return the true path, (n, 7): time, position, attitude at each measurement; and errors (n,).
 
     An error is that of the estimate at the time, in the vehicle's frame; NaN: there is none yet.
     """
@@ -113,11 +113,11 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
 
 
 def bound_m2(way: Matrix, scenario: Scenario, priors: FilterParams, *, reflects: bool) -> Matrix:
-    """Return the bound on the position at the end of a way, in the vehicle's frame, (2, 2).
+    """Return the bound on the position at the end of a path, in the vehicle's frame, (2, 2).
 
     Priors of the height, of the bearing and of the range offset are those of the estimator.
 
-    Raises `LinAlgError` if the way does not determine the position.
+    Raises `LinAlgError` if the path does not determine the position.
     """
     partials, sigmas, about = linearised(way, scenario)
     navigation, channel = scenario.navigation, in_the_field(scenario.channel)

@@ -32,9 +32,9 @@ from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint
 from tools.study.study_run import key_of
 
 ENGAGED_BY_S = 120.0
-"""Boot and take-off take a third of it; who has not begun by then never will."""
+"""Latest start of the search: boot and take-off take a third of that time."""
 LANES_M = 30.0
-"""Between the lanes of a lawnmower: the whole ring within the cut of most radios."""
+"""Distance between the lanes of a lawnmower: the whole ring within the cut of most radios."""
 change = msgspec.structs.replace
 
 

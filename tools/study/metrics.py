@@ -39,7 +39,7 @@ COVERAGE_BAND = (0.93, 0.97)
 SETTLED_M = 2.5
 """Paper: Time-to-Threshold."""
 DIVERGED_M = SETTLED_M
-"""A run that ends farther off has not settled in the paper's own sense: it diverged. Its square
+"""Error beyond which a run has diverged: it has not settled in the paper's own sense. Its square
 alone decides an RMSE over runs, so that such an RMSE is not comparable with another."""
 R95_TABLE_SIZE = 513
 
@@ -172,7 +172,7 @@ def _separate_information(channel: ChannelParams, fineness: int) -> ChannelInfor
 
 
 Density = tuple[Vector, Vector]
-"""And its derivative."""
+"""Density and its derivative."""
 
 
 def _bearing_sigmas(channel: ChannelParams) -> tuple[float, float]:

@@ -31,9 +31,9 @@ POWER_AT_1M_DBM = -25.0
 WRONG_BY_DB = 10.0
 """Half width of the uniform error of that power, dB."""
 FADING_SIGMA_DB = 4.0
-"""From frame to frame: 3 to 6 dB."""
+"""Standard deviation of fading from frame to frame: 3 to 6 dB."""
 WORSE_BY_CHANCE = 0.05
-"""Probability up to which so many worse flights of a pair are no chance."""
+"""Probability up to which the number of worse flights is not explained by chance."""
 change = msgspec.structs.replace
 
 

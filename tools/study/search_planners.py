@@ -169,7 +169,7 @@ class SearchTimes:
     poa: Poa
     planner: Name
     times_s: tuple[float, ...]
-    """Until each emitter was heard; infinite where it was not."""
+    """Time until each emitter was heard; infinite where it was not."""
 
 
 def fly_planners(number: int, seed: int) -> list[SearchTimes]:

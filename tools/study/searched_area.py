@@ -34,7 +34,7 @@ EMITTERS = 40
 INTERVAL_S = 1.0
 MOST_REACH_ERROR_DB = 6.0
 EDGE_M = 20.0
-"""Between the ends of a lane and the edges of the square."""
+"""Distance between the ends of a lane and the edges of the square."""
 
 
 def box(west: float, south: float, east: float, north: float) -> tuple[Point, ...]:
@@ -84,7 +84,7 @@ class Trial:
 
 
 def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
-    """Return a world, and the detection model that a crew who knows its kind would configure."""
+    """Return a world, and the detection model that a crew would configure for its kind."""
     kind: Kind = KINDS[rng.integers(len(KINDS))]
     environment: Environment = "buildings" if kind == "walls" else kind
     exponent, shadowing_db, correlation_m, rice_k_db = PROPAGATION[environment]

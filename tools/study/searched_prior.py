@@ -1,4 +1,4 @@
-"""First fixes with and without the prior that a search in vain leaves, in pairs.
+"""First fixes with and without the prior from a search without contact, in pairs.
 
 Both trackers of a pair get the same measurements of the same flight: lanes over a square in the
 worlds of `searched_area`, until the emitter is heard, and on along the lanes. Ranges have normal
@@ -34,7 +34,7 @@ LONG_SHARE, LONG_M = 0.3, 8.0
 LONGEST_S = 120.0
 """Time after contact that is evaluated."""
 APART_M = 30.0
-"""A hypothesis farther from the emitter than this is another place; a fix is as wide."""
+"""Distance from the emitter beyond which a hypothesis is another place, and a fix too wide."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from tools.study.systems import System
 from tools.study.trials import run_trial
 
 ROUNDS = 5
-"""Enough for a median."""
+"""Number of rounds, enough for a median."""
 ONE_SIDED = tuple(
     System("asymmetric_huber", planner)
     for planner in ("passive", "reactive", "latched", "fim", "fim_printed")

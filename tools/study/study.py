@@ -307,7 +307,7 @@ class FlightRow(Params, frozen=True):
     state: str | None
     """State of the estimate, like all following fields at the report, else at the end."""
     error_m: float | None
-    """Relative: from the truth as the vehicle's own receiver shows it at that time."""
+    """Relative error: from the truth as the vehicle's own receiver shows it at that time."""
     absolute_error_m: float | None
     r95_m: float | None
     absolute_r95_m: float | None

@@ -44,11 +44,11 @@ from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingPara
 from tools.study.walk import WalkFilter, WalkSteering
 
 STEP_S = 1.0
-"""Between two measurements; the target lies still, so that only their order counts."""
+"""Time between two measurements; the target lies still, so that only their order counts."""
 EMITTER_ID = 1
 
 Fuse = Callable[[RangingMeasurement, PositionEnu], tuple[TargetEstimate, Matrix]]
-"""Takes in a measurement from a place; returns the estimated target position, and the (4, 4)
+"""Fuses a measurement from a position; returns the estimated target position, and the (4, 4)
 covariance of [east, north, range offset, bearing offset]."""
 Steer = Callable[[int, Point, TargetEstimate, Matrix], Point]
 """Position of a step, from the previous position and the result of `Fuse` there."""

@@ -29,9 +29,9 @@ class TrialResult:
 
     truth: RunTruth
     record: Matrix
-    """(steps, 9), see `walk`."""
+    """Record of the run, (steps, 9), see `walk`."""
     stated_r95_m: Vector | None = None
-    """(steps,) where the system says more of it than its covariance does."""
+    """Stated R95, (steps,), of a system whose R95 is not that of its covariance alone."""
 
     @property
     def track_enu_m(self) -> Matrix:

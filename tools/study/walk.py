@@ -134,13 +134,13 @@ class WalkFilter(NamedTuple):
     """
 
     sigma: Vector
-    """(3,) noise of range, bearing and elevation."""
+    """Noise of range, bearing and elevation, (3,)."""
     thresholds: Matrix
     bounds: Matrix
     prior_mean: Vector
     prior_sigmas: Vector
     inflation: Vector
-    """(3,) factors on the variances; ones, as the paper's filters have it."""
+    """Factors on the variances, (3,); ones, as the paper's filters have it."""
     model: RangingModel
     iterations: int
     """Iterations of the splitting; 0: the closed form."""
@@ -148,7 +148,8 @@ class WalkFilter(NamedTuple):
     is_window_solved: bool
     """True if the objective over the run corrects the filter."""
     information: Matrix
-    """(4, 4) of the offsets' priors in that objective; the position's is flat (paper, IV-A)."""
+    """Information of the offsets' priors in that objective, (4, 4); the position's is flat (paper,
+    IV-A)."""
     pull: Vector
 
 
@@ -163,10 +164,10 @@ class WalkSteering(NamedTuple):
     ring_m: Matrix
     may_fly: NDArray[np.bool_]
     poses_m: Matrix
-    """(3, k + 1) ring, and staying."""
+    """Poses of the ring and of staying, (3, k + 1)."""
     field: FieldOfView
     model: RangingModel
-    """Of the plane, without errors of the vehicle position."""
+    """Measurement model of the plane, without errors of the vehicle position."""
 
 
 @kernel
@@ -208,9 +209,9 @@ EARLY_GROWTH, LATE_GROWTH = 0.15, 0.5
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
 LEAST_RANGE_M = 1.0
 EARLY_TOLERANCE_M, LATE_TOLERANCE_M = 1e-2, 1e-3
-"""A step shorter than this ends a solution, up to `EARLY_COUNT` and after it."""
+"""Length of a step below which a solution ends, up to `EARLY_COUNT` and after it."""
 BETTER_COST = 1e-6
-"""A fresh start's minimum wins if it is lower by this: rounding must not decide."""
+"""Decrease of the cost by which a fresh start's minimum wins: rounding must not decide."""
 
 
 @kernel

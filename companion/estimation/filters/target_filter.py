@@ -39,7 +39,7 @@ from companion.kernel import Matrix, Vector, frozen
 Inflation = tuple[float, ...]
 """Factors on the variances of the modalities."""
 NO_INFLATION: Inflation = (1.0,) * (MODALITIES + 1)
-"""Thermal noise only."""
+"""Factors without inflation: thermal noise only."""
 
 
 @dataclass(frozen=True, slots=True)

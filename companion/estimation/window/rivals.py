@@ -17,7 +17,7 @@ although it is small. So its value is judged by the two distributions that it ha
 the other is true. Their means are D and -D, with D half the weighted square of the difference of
 the influences, and both have the variance S of the sum above, with the covariance of the spatial
 noise. To S belongs that the path itself is only known to the vehicle's position error, because a
-path that bends no more than this does not tell mirror images apart. S is estimated from so few
+path that bends no more than this does not separate mirror images. S is estimated from so few
 independent places that the distributions are Student's t, with the degrees of freedom that they
 leave (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
 

@@ -31,7 +31,7 @@ from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 
 CONFIRMED_BY = 2
 LEG_S = 20.0
-"""A leg that takes longer is not finished on a low battery."""
+"""Longest time for which a leg is still finished on a low battery."""
 
 
 class BatteryWatch(Watch):
@@ -40,7 +40,7 @@ class BatteryWatch(Watch):
     def __init__(self, low_pct: float, critical_pct: float) -> None:
         self.level = BatteryLevel.UNKNOWN
         self.charge_pct: float | None = None
-        """0 to 100; None: unknown."""
+        """Charge, 0 to 100; None: unknown."""
         self._low_pct = low_pct
         self._critical_pct = critical_pct
         self._candidate = BatteryLevel.UNKNOWN
@@ -122,7 +122,7 @@ class BatteryWatch(Watch):
 
 
 DOUBT_S = 1.0
-"""An estimator that reports trouble for less than this recovers by itself."""
+"""Longest trouble reported by an estimator from which it recovers by itself."""
 GOOD_S = 1.0
 """Time without trouble until the estimator counts as good again."""
 PATIENCE_S = 5.0

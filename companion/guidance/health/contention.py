@@ -6,12 +6,12 @@ are lost, and the echo travels back. So an echo is compared with the path of our
 and the latest time at which that path was there shows how many of our setpoints arrive.
 
 - An echo off the whole path is a foreign setpoint. A single one may come from a frame that just
-  moved; several over a while are a second source. The vehicle holds for a second, and if the
-  source goes on meanwhile, we yield: two streams would pull the vehicle to and fro. Ours follows
-  each of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo
-  far off our path is therefore remembered for half a minute; one close to it may be the
-  autopilot's rounding, and is soon forgotten. While we pause, as on a clock that slipped, the
-  autopilot echoes the place where it stays by itself, which is no foreign setpoint.
+  moved; several over a while are a second source. The vehicle holds for a second, and if the source
+  is still active then, we yield: two streams would pull the vehicle to and fro. Ours follows each
+  of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo far
+  off our path is therefore remembered for half a minute; one close to it may be the autopilot's
+  rounding, and is soon forgotten. While we pause, as on a clock that slipped, the autopilot echoes
+  the place where it stays by itself, which is no foreign setpoint.
 - An echo on the path, but where it was seconds ago, means that our setpoints no longer arrive. So
   does a missing echo where there was one.
 
@@ -40,9 +40,9 @@ from companion.guidance.commands import StickReaction
 from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 
 TOLERANCE_M = 1.5
-"""An echo nearer to our path than this is ours: PX4 smooths, and floats round."""
+"""Distance from our path up to which an echo is ours: PX4 smooths, and floats are rounded."""
 MEMORY_S = 30.0
-"""Memory of our path: ArduPilot echoes a target for ever, and older ones of ours are unknown."""
+"""Memory of our path: ArduPilot echoes a target for ever, and we do not know older ones of ours."""
 GRACE_S = 2.0
 """Time after the start of control, or a pause, during which an echo may be of earlier targets."""
 PAUSE_S = 0.5
@@ -57,9 +57,9 @@ FAR_S = 30.0
 FAR_M = 10.0
 """Memory of an echo close to our path, of one far from it, and the distance that counts as far."""
 HOLD_S = 1.0
-"""Duration of the hold before we yield ..."""
+"""Duration of the hold before we yield."""
 GOES_ON_S = 0.4
-"""... to a source that was still active after this much of it."""
+"""Time within the hold after which a source that is still active makes us yield."""
 
 
 class EchoWatch(Watch):

@@ -43,16 +43,17 @@ NOISE_SIGMAS = 7.0
 NOISE_SHARE = 0.02
 """Weight of the newest report in the mean square of that noise."""
 MAX_ACCELERATION_MPS2 = 10.0
-"""Two positions and their velocities differ by a quarter of this times the time squared."""
+"""Largest acceleration; two positions and their velocities differ by a quarter of it times the time
+squared."""
 LEAST_TURN_RAD = math.radians(15.0)
 MAX_TURN_RADPS = math.radians(120.0)
 """Fastest change of a heading, beyond the least turn."""
 MAX_GAP_S = 1.0
-"""Reports farther apart than this are not compared."""
+"""Longest time between two reports that are compared."""
 STEADY_S = 2.0
 """Time without a jump after which navigation is steady."""
 PATIENCE_S = 5.0
-"""Jumps that continue for longer than this lead to a hand-back."""
+"""Longest time for which jumps may continue before the vehicle is handed back."""
 
 
 NO_STEP: PositionEnu = (0.0, 0.0, 0.0)

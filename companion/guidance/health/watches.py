@@ -5,7 +5,7 @@ ranging ages, the estimate is extrapolated: the target is where it was, less cer
 and the vehicle slows down accordingly. When ranging is too old, or the estimate too uncertain, the
 vehicle holds, and a single measurement does not end that: some must agree first. A link or a
 vehicle position that was lost must be back for a while, with the mode reported again, before
-control goes on: an input that returns for a moment is often lost again.
+control continues: an input that returns for a moment is often lost again.
 
 HOLD, RESUME, RETURN and GRANT of the operator, beside the mode switch, are answered with a text:
 accepted, or refused with the reason. Views ask for the objection beforehand, so that a button

@@ -37,13 +37,13 @@ from companion.mav.codec import CRC_EXTRA_BY_ID, FrameSplitter
 from companion.mav.endpoint import Chunk
 
 MAX_UNSENT_BYTES = 64 * 1024
-"""Limit of streams whose speed is not known."""
+"""Largest queue of a stream of unknown speed."""
 QUEUE_S = 0.25
 """Longest queue of a serial line, in seconds of its speed."""
 SYSTEM_QUEUE_S = 0.1
-"""The same for what waits in the system."""
+"""Largest queue of a serial line in the system's own buffer, in seconds of its speed."""
 MIN_QUEUE_BYTES = 600
-"""Room for two frames of the longest kind on the slowest of lines."""
+"""Smallest queue: room for two of the longest frames on the slowest of lines."""
 LINE_LOOK_S = 0.02
 READ_BYTES = 4096
 BACKOFF_MIN_S = 0.5
@@ -52,15 +52,15 @@ CONNECT_TIMEOUT_S = 5.0
 BITS_PER_BYTE = 10
 """Bits per byte on a serial line: eight, a start and a stop."""
 STABLE_S = 10.0
-"""A connection that lasted for as long was good: the pause before the next one is short again."""
+"""Time for which a connection must have lasted before the pause to the next one is short again."""
 SILENT_S = 10
-"""Ten HEARTBEATs that are missing; seconds, counted by looks, so that a suspended process does not
-take its own absence for the peer's."""
+"""Silence of a peer, ten HEARTBEATs of a second each, after which it is gone; it is counted in
+checks, so that a suspended process does not mistake its own absence for the peer's."""
 LOOK_PERIOD_S = 1.0
 USER_TIMEOUT_MS = 5_000
 """Longest time for which sent data may stay unacknowledged."""
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
-"""A peer that vanished without a word is noticed after about eleven seconds."""
+"""Probes of an idle connection, by which a peer that vanished is noticed after eleven seconds."""
 
 
 class Handle(Protocol):

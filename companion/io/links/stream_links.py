@@ -211,7 +211,7 @@ EXIT_LOOK_S = 0.05
 """Time from the end of its output until a program is surely gone."""
 LONGEST_NAME = 60
 STEADY_S = 1.0
-"""A program that talks for longer does not end at once."""
+"""Time after which a program that ends has not ended at once."""
 
 
 class ExecLink(Link):

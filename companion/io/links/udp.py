@@ -102,7 +102,7 @@ GONE = frozenset(
         errno.ENODEV,
     }
 )
-"""A socket that refuses with one of these may never work again."""
+"""Errors of a socket that may never work again."""
 FIRST_REOPEN_S, LAST_REOPEN_S = 0.25, 4.0
 BUSY_S = 1.0
 """Time after a wake-up that left data unread for which nothing waits, because the socket's buffer

@@ -8,11 +8,11 @@ within 10 ms of the best of the last eight seconds, because slow exchanges are s
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
 together, by a Kalman filter of two states. An exchange that deviates clearly from the prediction is
 left out; five in a row that agree with each other are a clock that slipped, or stood still, and the
-filter starts over with them. Meanwhile questions follow each other quickly. An answer that is dated
+filter starts over with them. Meanwhile requests follow each other quickly. An answer that is dated
 back makes the offset too large, never too small: exchanges below the prediction stay in the row,
 although one above it agrees in between.
 
-Only the answer to a question of ours counts, and once: answers to another station, late or forged
+Only the answer to a request of ours counts, and once: answers to another station, late or forged
 ones cannot move the clock. A clock that went back is that of a restarted autopilot only if it shows
 no more time than can have passed since then; otherwise it slipped.
 
@@ -31,11 +31,11 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.payloads import TargetedTimesync
 
 FIRST_PERIOD_S = 0.1
-"""Interval of the first questions."""
+"""Interval of the first requests."""
 FIRST_EXCHANGES = 10
-"""Number of quick questions, to know the offset within a second."""
+"""Number of quick requests, to know the offset within a second."""
 PERIOD_S = 0.5
-"""Interval of questions, because a restart must be noticed within a second."""
+"""Interval of requests, because a restart must be noticed within a second."""
 BEST_OF = 16
 """Periods in which the shortest round trip is searched, however many answers come at once."""
 MAX_ROUND_TRIPS = 128
@@ -47,10 +47,10 @@ DEVIATION_S = 0.05
 RESET_AFTER = 5
 """Consecutive deviating exchanges that agree with each other, before the filter starts over."""
 MAX_RATE = 0.06
-"""Limit of rates from single exchanges, seconds per second; few clocks exceed it ..."""
+"""Limit of rates from single exchanges, seconds per second; few clocks exceed it."""
 MAX_PACE = 0.25
-"""... and limit of rates from exchanges on a straight line: a simulated autopilot on a busy
-computer was 10 % slow for seconds. A clock beyond it runs at another speed, and is not followed."""
+"""Limit of rates from exchanges on a straight line: a simulated autopilot on a busy computer was 10
+% slow for seconds. A clock beyond it runs at another speed, and is not followed."""
 PACE_WINDOW_S = 3.0
 """Span of the exchanges that must lie on a line."""
 CRYSTAL = 1e-4
@@ -76,14 +76,14 @@ MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
 KNOWN_SIGMA_S = 0.02
 """Standard deviation up to which the offset is known."""
 PROMPT_S = 1.0
-"""Round trip of a prompt answer, which shows that the link is not slow ..."""
+"""Longest round trip of a prompt answer, which shows that the link is not slow."""
 PROMPT_WITHIN_S = 3.0
-"""... for this long; where half of questions and of answers get lost, one in six times none
-comes."""
+"""Time for which a prompt answer shows that; where half of requests and of answers get lost, none
+comes in it once in six times."""
 SLOW_WITHIN_S = 15.0
 """Time for which a late answer shows a slow link, if none comes promptly."""
 MAX_OPEN = 32
-"""Limit of open questions: those of three seconds, also at the quick interval."""
+"""Most unanswered requests: those of three seconds, also at the quick interval."""
 REBOOT_BACKWARD_S = 1.0
 """Smallest step back of a clock that restarted."""
 NS_PER_S = 1e9
@@ -99,7 +99,7 @@ class Rate(NamedTuple):
 
 
 DRIFT_ALLOWANCE = 200e-6
-"""Twice the drift of a poor crystal."""
+"""Allowance for drift, twice that of a poor crystal."""
 NO_RATE = Rate(0.0, DRIFT_ALLOWANCE)
 
 
@@ -252,17 +252,17 @@ class ClockSync:
         self.asked = 0
         self.answered = 0
         self.slow = 0
-        """Answers that took too long to be used."""
+        """Number of answers that took too long to be used."""
         self.resets = 0
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self.next_s = 0.0
-        """Time of the next question."""
+        """Time of the next request."""
         self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
         """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None
         """Shortest round trip of the latest exchanges, seconds; None before the first one."""
         self.filter: OffsetFilter | None = None
-        """None before the first exchange."""
+        """Filter of offset and rate; None before the first exchange."""
         self._scatter = ExchangeScatter()
         self.pace = ClockPace()
         self._used = 0
@@ -271,7 +271,7 @@ class ClockSync:
         self._deviating: list[tuple[float, float]] = []
         """Consecutive exchanges that deviate but agree: time and offset."""
         self._newest: tuple[float, int] | None = None
-        """Time of the latest question that was answered, and the autopilot's time then."""
+        """Time of the latest request that was answered, and the autopilot's time then."""
         self._has_restarted = False
         self._prompt_s = -math.inf
         """Times of the latest prompt and late answer."""
@@ -295,7 +295,7 @@ class ClockSync:
         return len(self._agreed_s) == RESET_AFTER and self._agreed_s[0] >= time_s
 
     def due(self, now_s: float, system_id: int, component_id: int) -> Message | None:
-        """Return the question to send now, if any."""
+        """Return the request to send now, if any."""
         if now_s < self.next_s:
             return None
         is_quick = self._used < FIRST_EXCHANGES or bool(self._deviating)
@@ -310,7 +310,7 @@ class ClockSync:
         if not isinstance(message, mavlink.MAVLink_timesync_message):
             return
         if message.tc1 <= 0 or message.ts1 not in self._open:
-            return  # a question, or an answer to another station
+            return  # a request, or an answer to another station
         self._open.remove(message.ts1)
         self.answered += 1
         sent_s = message.ts1 / NS_PER_S
@@ -364,7 +364,7 @@ class ClockSync:
         self.next_s = 0.0
 
     def _note_time(self, sent_s: float, remote_ns: int, now_s: float) -> None:
-        """Check whether the clock restarted between one question and a later one."""
+        """Check whether the clock restarted between one request and a later one."""
         if self._newest is not None:
             if sent_s < self._newest[0]:
                 return

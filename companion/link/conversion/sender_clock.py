@@ -46,7 +46,7 @@ CONFIRM_STAMPS = 3
 BACKWARD_S = 0.1
 """Step back up to which a stamp is only reordered."""
 CONFIRM_JITTER_S = 1.0
-"""Tolerated jitter of its stamps meanwhile."""
+"""Tolerated jitter of the new clock's stamps before it is accepted."""
 WRAP_S = 2**32 / 1000.0
 """Period of `time_boot_ms`, 49.7 days; its wrap is not a reboot."""
 MAX_WRAP_GAP_S = 60.0

@@ -2,8 +2,8 @@
 
 GUIDED of ArduCopter: the meaning and effect of each target message.
 
-Take-off comes first, positions are latched for ever, motions time out without a word. A position
-with a velocity runs on by it until the time-out, and is latched where it is then.
+Take-off comes first, positions are latched for ever, motions time out silently. A position with a
+velocity runs on by it until the time-out, and is latched where it is then.
 
 One ignored axis ignores its whole group. Accepted are position, velocity, acceleration, position
 with velocity (and acceleration), velocity with acceleration, each with or without yaw or yaw rate;
@@ -67,7 +67,7 @@ BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET_NED = mavlink.MAV_FRAME_BODY_OFFSET_NED
 LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
 OUT_OF_SIGHT_M = 1e9
-"""Stands for an infinite height."""
+"""Height beyond any flight, for an infinite one."""
 BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
 TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT)
 
@@ -76,7 +76,7 @@ class Target(NamedTuple):
     """Target of GUIDED that a message sets, or its refusal."""
 
     setpoint: Setpoint | None
-    """A position is held for ever, once its velocity has timed out; without one it times out after
+    """Position, held for ever once its velocity has timed out, or a motion, which times out after
     GUID_TIMEOUT. None: stop."""
     text: str = ""
     """Text for the operators about a refusal."""
@@ -232,7 +232,7 @@ class Guided:
         return Echo(place, velocity, setpoint.acceleration_enu_mps2 or STILL)
 
     def stop(self) -> None:
-        """Stay in place until something is asked, as when the mode begins."""
+        """Stay in place until something is commanded, as when the mode begins."""
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
 

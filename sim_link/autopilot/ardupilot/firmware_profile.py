@@ -4,12 +4,12 @@
 
 `parameters.csv` has its parameters. Names, types and defaults were compared one by one with what an
 ArduCopter 4.5.5 shows, and with SITL's `copter.parm` (battery monitor, flight modes, fence radius,
-throttle failsafe); ranges are those of the Copter Parameter List by sense, and bind scenarios only:
-a client may set what is out of range. The battery failsafes are BATT_FS_*, as since Copter 3.6.
+throttle failsafe); ranges follow the Copter Parameter List, and bind scenarios only: a client may
+set what is out of range. The battery failsafes are BATT_FS_*, as since Copter 3.6.
 
 Other firmwares each have a table of modes of their own; a number that one of them does not have is
-refused, and one that another has a meaning for is taken in that meaning. PX4 numbers modes alike
-for all types of vehicle.
+refused, and one that has a meaning there is interpreted by it. PX4 numbers modes alike for all
+types of vehicle.
 
 Source of the modes: ArduPilot `mode.h` of Copter, Plane, Rover, Sub and Tracker; ArduCopter 4.5 as
 observed in SITL.

@@ -57,7 +57,7 @@ class Channel(NamedTuple):
 
     link: int
     peer: Address | None = None
-    """None where a link has only one other end."""
+    """Other end of the channel; None where a link has only one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from sim_link.autopilot.protocols.addressing import Addressing, Newest, Outgoing
 
 DEGREE = 1e7
 NO_VALUE = 2**31 - 1
-"""Stands for NaN in COMMAND_INT's integers."""
+"""Integer that means NaN in COMMAND_INT."""
 UNKNOWN_PROGRESS = 255
 REPEAT_WINDOW_S = 3.0
 """Time for which a client may repeat a command: MAVSDK gives up after 2 s."""
@@ -269,7 +269,7 @@ NS_PER_S = 1_000_000_000
 LOOP_S = 0.0025
 """Period at which ArduCopter reads its links: SCHED_LOOP_RATE is 400 Hz."""
 ROUNDING_S = 1e-9
-"""Times since boot and since the simulator began differ by less, but they differ."""
+"""Rounding between times since boot and since the simulator began."""
 RECEIVE_BUFFER = 512
 """Bytes of a port that can wait to be read: AP_HAL_SITL `UARTDriver`, `_readbuffer`."""
 BITS_PER_BYTE = 10

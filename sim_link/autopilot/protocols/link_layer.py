@@ -5,8 +5,8 @@ only then, if its signature holds where there is a key, decoded for the vehicle.
 sends leaves each link with the link's own sequence number, in the link's MAVLink version, signed
 where there is a key. Peers that share a link share its frames: a sequence number that one of them
 did not get would look like a loss to it. A peer that is to get other frames than the rest (other
-streams, MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which go on from
-the link's.
+streams, MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which continue
+those of the link.
 
 Routing. A component heard on a channel can be reached there; one component may be heard on several.
 A broadcast goes to every other channel, an addressed frame only to where its target was heard, and
@@ -114,10 +114,12 @@ MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
 """Most channels of one component; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
-"""Less is a frame that was overtaken on its way."""
+"""Step back of a time since boot from which its sender restarted; less is a frame that was
+overtaken."""
 WRAP_MS = 2**32
 MAX_WRAP_GAP_MS = 60_000
-"""The counter starts again after 49.7 days: a step back by almost all of it is no restart."""
+"""Longest distance from a wrap of the counter, after 49.7 days, at which a step back is the wrap
+and no restart."""
 
 Component = tuple[int, int]
 

@@ -33,7 +33,7 @@ from sim_link.autopilot.protocols.command_protocol import Command, CommandResult
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 US_PER_S = 1e6
 DUE_TOLERANCE_S = 1e-6
-"""A clock of whole steps may be early by rounding."""
+"""Tolerance of a due time, because a clock of whole steps may be early by rounding."""
 MAX_INTERVAL_US = 3600e6
 OFF, DEFAULT = -1.0, 0.0
 
@@ -58,14 +58,14 @@ class StreamProfile:
     default_rates_hz: Mapping[int, float]
     """Rates by message id; 0 for one that is sent only on request."""
     min_interval_s: float
-    """Faster is not possible: PX4 sends 123 Hz where 1 ms is asked, ArduPilot 333 Hz."""
+    """Shortest interval of a stream: PX4 sends 123 Hz where 1 ms is requested, ArduPilot 333 Hz."""
     rates_by_mode_hz: Mapping[LinkMode, Mapping[int, float]] = field(default_factory=dict)
     """Rates of the links of a mode; messages not listed there are sent only on request."""
     min_interval_by_mode_s: Mapping[LinkMode, float] = field(default_factory=dict)
     stopped_interval_us: int = -1
-    """MESSAGE_INTERVAL of a stream that is off."""
+    """Value of MESSAGE_INTERVAL for a stream that is off."""
     fixed: frozenset[int] = frozenset({HEARTBEAT})
-    """Cannot be changed."""
+    """Messages whose rate cannot be changed."""
     groups: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     """Messages of each REQUEST_DATA_STREAM group; empty where that message is not known."""
 
@@ -194,15 +194,15 @@ class RequestProfile:
     no_interval: CommandResult
     """Result of GET_MESSAGE_INTERVAL for an unknown message, sent after a MESSAGE_INTERVAL of 0."""
     not_on_request: frozenset[int] = frozenset()
-    """Streamed, but refused by REQUEST_MESSAGE."""
+    """Messages that are streamed, but refused by REQUEST_MESSAGE."""
     has_texts: bool = False
     """True if a refused SET_MESSAGE_INTERVAL is explained by a text."""
     casts_id: bool = False
-    """REQUEST_MESSAGE cuts a fraction off the id, and takes NaN for 0."""
+    """True if REQUEST_MESSAGE cuts a fraction off the id, and takes NaN for 0."""
     reports_protocol_version: bool = True
-    """Knows REQUEST_PROTOCOL_VERSION at all."""
+    """True if it supports REQUEST_PROTOCOL_VERSION."""
     capabilities_need_one: bool = False
-    """REQUEST_AUTOPILOT_CAPABILITIES is refused unless its first parameter is 1."""
+    """True if REQUEST_AUTOPILOT_CAPABILITIES is refused unless its first parameter is 1."""
 
 
 class MessageRequests:

@@ -130,7 +130,7 @@ class PlanUploads:
         return outgoing
 
     def drop(self, partner: Partner, plan_types: tuple[PlanType, ...] = tuple(PlanType)) -> None:
-        """End a partner's upload, of some plans or any, without a word."""
+        """End a partner's upload, of some plans or any, without a message."""
         upload = self._uploads.get(partner)
         if upload is not None and upload.plan_type in plan_types:
             del self._uploads[partner]

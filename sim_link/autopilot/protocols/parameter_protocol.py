@@ -45,7 +45,7 @@ class ParamSpec:
     kind: ParamType
     default: float
     minimum: float | None = None
-    """None for the least value of its type."""
+    """Least value; None: that of its type."""
     maximum: float | None = None
     unit: str = ""
     is_read_only: bool = False
@@ -233,12 +233,12 @@ class ParameterProfile:
 
     encoding: ParamEncoding
     checks_type: bool
-    """A PARAM_SET of another type is ignored; otherwise the parameter's own type counts."""
+    """True if a PARAM_SET of another type is ignored; otherwise the parameter's own type counts."""
     reports_index_of_named: bool
-    """Otherwise a value read or set by name has index 65535."""
+    """True if a value read or set by name has its index; otherwise 65535."""
     has_hash_check: bool
     stores_nan: bool
-    """Otherwise NaN is ignored silently."""
+    """True if NaN is stored; otherwise it is ignored silently."""
     reports_read_only: bool = False
     """True if it answers with the value and a text; otherwise it is silent."""
     echoes: int = 1

@@ -38,7 +38,7 @@ ALL_TYPES = mavlink.MAV_MISSION_TYPE_ALL
 
 
 class PlanResult(IntEnum):
-    """MAV_MISSION_RESULT."""
+    """Result of a plan transfer, MAV_MISSION_RESULT."""
 
     ACCEPTED = 0
     ERROR = 1
@@ -206,7 +206,7 @@ NO_MISSION_TOTAL = 0xFFFF
 
 
 class MissionState(IntEnum):
-    """MISSION_STATE."""
+    """State of the mission, MISSION_STATE."""
 
     UNKNOWN = 0
     NO_MISSION = 1

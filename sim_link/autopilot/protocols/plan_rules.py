@@ -73,7 +73,7 @@ class PlanChecks:
     """Plan items that one autopilot accepts."""
 
     zero_is_here: bool = False
-    """A WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
+    """True if a WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
     nan_fourth: frozenset[int] | None = None
     """Commands of a mission whose fourth parameter may be NaN, and no parameter else (ArduPilot);
     None: all may be."""
@@ -184,19 +184,20 @@ class PlanRules:
     timeout_s: float
     """Silence after which a transfer is over."""
     is_atomic: bool = True
-    """A mission changes as a whole, at the end of its upload; otherwise it is cut at
+    """True if a mission changes as a whole, at the end of its upload; otherwise it is cut at
     MISSION_COUNT and overwritten item by item."""
     is_one_at_a_time: bool = False
-    """A second partner may not upload the same plan meanwhile."""
+    """True if a second partner may not upload the same plan meanwhile."""
     can_be_cancelled: bool = True
     waits_for_ack: bool = True
-    """A download lasts until the client's MISSION_ACK; items are given only during one."""
+    """True if a download lasts until the client's MISSION_ACK, and items are given only during
+    one."""
     reports_wrong_number: bool = False
-    """An item out of order gets INVALID_SEQUENCE; otherwise it is dropped."""
+    """True if an item out of order gets INVALID_SEQUENCE; otherwise it is dropped."""
     asks_in_old_form: bool = False
-    """MISSION_REQUEST instead of MISSION_REQUEST_INT."""
+    """True if items are requested by MISSION_REQUEST instead of MISSION_REQUEST_INT."""
     stores_less: bool = False
-    """A NaN is given back as 0, and a frame by its older name."""
+    """True if a NaN is given back as 0, and a frame by its older name."""
 
 
 @dataclass(slots=True)

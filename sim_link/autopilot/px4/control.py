@@ -218,7 +218,7 @@ class Cause:
     text: str
     """Text of the report."""
     parameter: str | None
-    """Says which reaction it is; None: the first."""
+    """Parameter that selects the reaction; None: the first one."""
     reactions: tuple[Reaction | None, ...]
     """Reactions by the parameter's value; None: this is not watched."""
     waits: bool = True

@@ -1,9 +1,9 @@
 """Identity, parameters, message rates and modes of PX4 1.15; `firmware.yaml` has its rules.
 
 `parameters.csv` has its parameters. Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and
-MPC_* were compared with the sources of its modules; the rest is set after the sense of its
-Parameter Reference: ask the real one where it matters. PX4 has only INT32 and REAL32, and numbers
-parameters in the order of their names; SYS_AUTOSTART 10040 is its simulated quadrotor.
+MPC_* were compared with the sources of its modules; the rest follows its Parameter Reference: check
+the real one where it matters. PX4 has only INT32 and REAL32, and numbers parameters in the order of
+their names; SYS_AUTOSTART 10040 is its simulated quadrotor.
 
 A link has the streams of PX4's onboard link (MAV_x_MODE 2), of its ground station link (mode 0), of
 its narrow one, or (mode Custom) nothing but HEARTBEAT.
@@ -30,7 +30,7 @@ OFFBOARD_LOSS_ACTION: dict[LossAction, int] = {
     **{"position": 0, "return": 3, "land": 4},
     **{"hold": 5, "disarm": 7},
 }
-"""COM_OBL_RC_ACT."""
+"""Reactions to lost setpoints by COM_OBL_RC_ACT."""
 
 
 def speed_limits(parameters: ParameterStore) -> SpeedLimits:
@@ -68,7 +68,7 @@ ONBOARD_HZ = _rates_hz("onboard")
 """Rates measured on 14540, ATTITUDE's 98 Hz limited to a message per physics step. RC_CHANNELS come
 while there is a remote control."""
 STATION_HZ = _rates_hz("station")
-"""Measured on 14550: ATTITUDE, LOCAL_POSITION_NED, GPS_RAW_INT, VFR_HUD, HEARTBEAT, PING; the
+"""Rates measured on 14550: ATTITUDE, LOCAL_POSITION_NED, GPS_RAW_INT, VFR_HUD, HEARTBEAT, PING; the
 others make up the 154 messages a second that came in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 NARROW_SHARE = 0.14

@@ -201,7 +201,7 @@ class Px4Flavour(AutopilotFlavour):
         self.settle(now_s, "pilot")
 
     def refuse(self, mode: FlightMode, why: str) -> None:
-        """Say why a mode was not entered."""
+        """Send a text with the reason why a mode was not entered."""
         self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:

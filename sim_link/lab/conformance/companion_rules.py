@@ -408,7 +408,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_PX4} (returning setpoints return OFFBOARD)")
     def failsafe_ends_the_stream(self) -> None:
-        """Setpoints stop when a failsafe takes the mode: going on would take the vehicle back."""
+        """Setpoints stop when a failsafe takes the mode; the stream would take the vehicle back."""
         self.give_control()
         self.is_failsafe = True
         late = self._late_setpoints(FOREIGN_MODES[self.flavour][1])

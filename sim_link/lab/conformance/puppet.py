@@ -19,9 +19,10 @@ PLACE = (473_977_420, 85_455_940, 488_000)
 """Latitude and longitude, 1e-7 degrees, and altitude, mm: origin and home."""
 HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
-"""A companion that compiles its kernels for the first time takes half a minute."""
+"""Longest wait for a companion's first message: compiling its kernels takes half a minute."""
 SETTLE_S = 5.0
-"""Until it knows the vehicle: it may listen 3 s for two systems (MAVLink guide, id assignment)."""
+"""Time until the companion knows the vehicle: it may listen 3 s for two systems (MAVLink guide, id
+assignment)."""
 UNKNOWN_COMMAND = 31_999
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 

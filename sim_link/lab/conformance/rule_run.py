@@ -3,7 +3,7 @@
 Theory of operation. Every rule has a probe of its own; what all of them touched is written down in
 one `Baseline`. After a rule, passed or not, the vehicle lands, and parameters, stream rates and
 home are put back; plans and the mode are at the end. A vehicle that falls silent is waited for. If
-it comes back it is put in order first, and the rules go on; otherwise the rest is not run. What
+it comes back it is put in order first, and the rules continue; otherwise the rest is not run. What
 could not be put back is listed, with the value that it had.
 """
 
@@ -40,7 +40,7 @@ GO_BACK_S = 60.0
 COME_BACK_S = 90.0
 """Longest wait for a silent vehicle, in s: a real autopilot boots within 40 s."""
 MOST_LANDINGS = 2
-"""A vehicle that does not land as often in succession is left to its operator."""
+"""Failed landings in succession after which a vehicle is left to its operator."""
 
 
 class Caretaker(PlanClient):

@@ -28,7 +28,7 @@ from sim_link.lab.conformance.station import Baseline, M, ProbeLink, Station, he
 
 FIRST_HEARTBEAT_S = 10.0
 READY_S = 90.0
-"""A real autopilot needs 20 to 45 s from boot until it can be armed."""
+"""Longest wait for arming: a real autopilot needs 20 to 45 s from boot."""
 SHORT_LOOK_S = 2.0
 ARM_S = 15.0
 """Time for which arming may be refused although SYS_STATUS reports that it is possible."""
@@ -40,7 +40,7 @@ ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
 BOOT_S = 60.0
 SPENT_PERCENT = 30
-"""A battery that may not last for the next flight."""
+"""Charge at which a battery may not last for the next flight."""
 FLIGHT_HEIGHT_M = 10.0
 CLIMB_S = 40.0
 
@@ -201,7 +201,7 @@ class VehicleProbe(Station):
     def _interval_s(self, number: int) -> float | None:
         """Return a message's interval from MESSAGE_INTERVAL, -1: off; None: not reported.
 
-        PX4 reports 0 for a stream that is off, as of a message that there is not.
+        PX4 reports 0 for a stream that is off, and for a message that does not exist.
         """
         if self.command(GET_INTERVAL, float(number)) != mav.ACCEPTED:
             return None

@@ -66,7 +66,7 @@ class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
 
     share: Share = 0.1
     copies: Count = 1
-    """Beside the frame itself."""
+    """Number of copies beside the frame itself."""
     spread_s: NonNegative = 0.1
     """Copies come up to this much later."""
 
@@ -167,7 +167,7 @@ class RangingSecondEmitter(ContentFault, frozen=True, tag="ranging_second_emitte
     east_m: Length = 0.0
     north_m: Length = 60.0
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65_535)] | None = None
-    """None: it uses ours."""
+    """Id of the other emitter; None: it uses ours."""
 
 
 class RangingNan(ContentFault, frozen=True, tag="ranging_nan"):

@@ -177,7 +177,7 @@ class Attacker:
 ATTACKER_PEER: Address = ("127.0.0.1", 16000)
 SENDER_PEER: Address = ("127.0.0.1", 17000)
 ATTACK_PERIOD_S = 0.02
-"""An attacker's frames come in groups this far apart."""
+"""Time between two groups of an attacker's frames."""
 
 
 class Injector(Observer):

@@ -186,7 +186,7 @@ class FlightTask:
     reports: Path | None
     """Folder of the reports; None: no reports are written."""
     speed: float | None = None
-    """Times real time, with real processes; None: lockstep."""
+    """Speed in times real time, with real processes; None: lockstep."""
     connect: str | None = None
     """Link to a vehicle that runs already."""
 

@@ -1,10 +1,10 @@
 """The processes of a mission: child processes, the hub that links them, and their faults.
 
 Theory of operation. The hub is a router: what the vehicle says goes to all of its clients, what a
-client says to the vehicle and to the other clients. It knows nothing about who the vehicle is; it
-answers to wherever that was heard. Between vehicle and companion lies a wire, which may be a
-`FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults of
-the processes are signals, those of the vehicle incidents sent to the simulator.
+client says to the vehicle and to the other clients. It does not know the vehicle's ids; it answers
+to the address where the vehicle was heard. Between vehicle and companion lies a wire, which may be
+a `FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults
+of the processes are signals, those of the vehicle incidents sent to the simulator.
 
 The operator flown through MAVSDK: arm, take off, switch modes, come home, land.
 """
@@ -43,7 +43,7 @@ from sim_link.lab.observer import Lane, Observer, Wire
 
 VEHICLE, COMPANION, OPERATOR, RADIO = range(4)
 PERIOD_S = 0.1
-"""Between two looks at the mission."""
+"""Time between two checks of the mission."""
 
 
 class Hub:
@@ -259,7 +259,8 @@ class MavsdkOperator:
         """True if the autopilot can be armed and knows its home."""
         self.is_heard = False
         self.autopilot = Autopilot.OTHER
-        """Set by the observer of the vehicle: mode numbers differ between autopilots."""
+        """Kind of autopilot, set by the observer of the vehicle: mode numbers differ between
+        autopilots."""
         self.is_armed = False
         """Arming state, set by the observer of the vehicle."""
 

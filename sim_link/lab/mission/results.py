@@ -40,14 +40,14 @@ class StepOutcome:
     """Outcome of a step."""
 
     number: int
-    """Number from 1."""
+    """Number of the step, from 1."""
     name: str
     what: str
     """Relevant parameters, in words."""
     started_s: float
     ended_s: float
     failure: str = ""
-    """Empty: it is done."""
+    """Cause of its failure; empty: it is done."""
 
     @property
     def title(self) -> str:
@@ -99,7 +99,7 @@ class FlightRecord:
     ended_s: float = 0.0
     distance_m: float = 0.0
     closest_approach_m: float | None = None
-    """To the fence, in the whole flight."""
+    """Shortest distance to the fence in the whole flight."""
     failure: str = ""
     """Cause that ended the mission, other than a step; empty: none."""
     autopilot: str = ""
@@ -326,7 +326,7 @@ def how_flown(speed: float | None, connect: str | None) -> str:
 
 
 BUSY_S = 0.2
-"""Processes that wait so long for their turn cost setpoints and positions."""
+"""Wait of a process for its turn from which setpoints and positions are lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,7 +339,7 @@ class MissionResult:
     how: str
     record: FlightRecord = field(default_factory=FlightRecord)
     verdicts: tuple[ExpectationVerdict, ...] = ()
-    """Empty: it did not come to an end."""
+    """Verdicts on steps and expectations; empty: the flight did not come to an end."""
     report: str = ""
     """Path of the report; empty without one."""
     error: str = ""

@@ -80,7 +80,7 @@ class TextSeen(Params, frozen=True):
     message: str | None = None
     """MAVLink name of the message, for example RADIO_RANGING."""
     from_: Source | None = msgspec.field(default=None, name="from")
-    """Sender; null: any."""
+    """System id of the sender; null: any."""
 
     def __post_init__(self) -> None:
         if (self.text is None) == (self.message is None):
@@ -100,7 +100,7 @@ class Violations(Params, frozen=True):
 
     at_most: Annotated[int, msgspec.Meta(ge=0)] = 0
     invariants: tuple[str, ...] = INVARIANTS
-    """Those that count."""
+    """Invariants that count."""
 
     def __post_init__(self) -> None:
         for name in self.invariants:
@@ -117,10 +117,10 @@ class Expectation(Params, frozen=True, kw_only=True):
     final_error_m: EmitterBound | UnsetType = UNSET
     """Distance of the last estimate from the true emitter."""
     error_over_r95: EmitterBound | UnsetType = UNSET
-    """The same in units of R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle
+    """Error in units of R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle
     position is exact."""
     error_over_absolute_r95: EmitterBound | UnsetType = UNSET
-    """The same in units of the absolute R95, which includes the error of the vehicle position."""
+    """Error in units of the absolute R95, which includes the error of the vehicle position."""
     reported_s: EmitterBound | UnsetType = UNSET
     """Time of the report of the target, since the first hand-over."""
     time_s: Bound | UnsetType = UNSET
@@ -178,7 +178,7 @@ class TakeoffStep(StepParams, frozen=True):
     """The operator takes off; over once the height is reached."""
 
     altitude_m: FlightAltitude | None = None
-    """Above home; null: the companion's search altitude."""
+    """Height above home; null: the companion's search altitude."""
     limit_s: Limit = 90.0
 
 
@@ -202,7 +202,7 @@ class SearchStep(StepParams, frozen=True):
 
     pattern: PatternName = "lawnmower"
     spacing_m: Spacing | None = None
-    """Between lanes or legs; null: the companion's own."""
+    """Distance between lanes or legs; null: the companion's own."""
     area_enu_m: tuple[Corner, ...] | None = None
     """Corners of the area that a lawnmower sweeps; null: the companion's own."""
     until: Literal["contact", "reported"] = "contact"
@@ -302,7 +302,8 @@ class Mission(Scenario, frozen=True, kw_only=True):
     about: str = ""
     """Purpose, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()
-    """Those that it fits, and is flown on; empty: any, and it is flown on `autopilot.flavour`."""
+    """Autopilots that it fits, and is flown on; empty: any, and it is flown on
+    `autopilot.flavour`."""
     companion: CompanionConfig | str = CompanionConfig()
     """The companion's configuration (configuration.md), or the file that it is in."""
     steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007

@@ -56,7 +56,7 @@ ASK_AGAIN_S = 2.0
 ARRIVED_M = 0.5
 """Distance below its height at which a takeoff may end."""
 LIFTED_M = 0.3
-"""A vehicle this high has begun to take off."""
+"""Height from which a vehicle has begun to take off."""
 ROUNDING_S = 1e-9
 
 
@@ -209,7 +209,8 @@ CONNECTED = parse_condition("vehicle.mode == vehicle.mode and companion.phase ==
 ARMED, DISARMED = parse_condition("vehicle.is_armed"), parse_condition("not vehicle.is_armed")
 IN_CONTROL = parse_condition("companion.is_in_control")
 GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")
-"""Stands by; or flies, where a PX4 that lost its setpoints returns to them by itself."""
+"""Condition after a grant: it stands by; or flies, where a PX4 that lost its setpoints returns to
+them by itself."""
 READY = parse_condition(f"vehicle.is_ready and ({GRANTED.text})")
 HOLDING = parse_condition("vehicle.mode == hold")
 RETURNING = parse_condition('vehicle.mode == "return"')

@@ -22,11 +22,11 @@ from sim_link.lab.observer import Frame
 EPSILON_S = 1e-6
 HERE_M = 2.0
 QUIET_S = 2.0
-"""A vehicle that was taken by choice stays in silence for as long."""
+"""Time for which a vehicle that was taken by choice stays in silence."""
 BY_STICKS = "the pilot moves the sticks"
 """The companion's word for the one end of control in its own mode that is a person's choice."""
 GRANT_S = 3.0
-"""A grant is of the time after a mode whose loss shows only this long after it."""
+"""Longest delay of a mode's loss: a grant after it is of the time after that mode."""
 RAISES = (
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
@@ -36,9 +36,10 @@ RAISES = (
 FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
 RECOVERY_S = 2.0
-"""A stalled companion asks for the mode every 250 ms, over a link that may lose it."""
+"""Time in which a stalled companion learns the mode: it requests it every 250 ms, over a link that
+may lose it."""
 HEARTBEATS_S = 1.5
-"""Autopilots send one every second."""
+"""Longest gap of HEARTBEATs, which autopilots send every second."""
 
 
 class OnlyWithAuthority(Invariant):
@@ -59,7 +60,7 @@ class OnlyWithAuthority(Invariant):
     _ours_sent_at = (-1.0, 0)
     _lost_s: float | None = None
     _aside_s: float | None = None
-    """Since when another mode is shown without a failsafe after control was lost."""
+    """Time since which another mode is shown without a failsafe after control was lost."""
     _is_barred = False
     """Control that was lost returns only by a grant."""
     _given_s = -1.0
@@ -217,7 +218,7 @@ class KeepsStreaming(Invariant):
         self._last_s: float | None = None
         self._is_stalled = False
         self._excused_s = self._settled_s = -math.inf
-        """Until then a pause is excused by a stall, or by a local frame that moved."""
+        """Time until which a pause is excused by a stall, or by a local frame that moved."""
         self._frame_sent_at = scene.observed.frame_sent_at
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
@@ -305,7 +306,8 @@ PERIOD_S = 30.0
 CHUNK = 50
 """Bytes of a STATUSTEXT; a shorter chunk is the last one of its text."""
 FIGURE = re.compile(r"(?<!system )(?<!emitter )\d+(\.\d+)*")
-"""Without figures the words are the cause; the number of a system or an emitter belongs to it."""
+"""Figures, without which the words of a text are its cause; the number of a system or an emitter
+belongs to it."""
 BY_A_PERSON = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET"})
 """Messages that the companion answers with a text every time."""
 

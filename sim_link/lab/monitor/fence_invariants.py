@@ -74,19 +74,20 @@ class OwnJumps:
 
 SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))
 HEIGHT_ROUNDING_M = 0.05
-"""Home and height are reported in millimetres and by a noisy estimate."""
+"""Rounding of heights: home and height are reported in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
-"""So long after it was in control the companion answers for where the vehicle is; so long after it
-was not, a motion may be of what the vehicle did before."""
+"""Time for which the companion answers for the vehicle's position after it was in control; and for
+which a motion may be of what the vehicle did before."""
 OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
 """Modes that fly our setpoints, or brake the motion that these began."""
 FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
 KEPT_S = 2.5
-"""After a jump of the own position nothing moves for two seconds, wherever the setpoint is then."""
+"""Time after a jump of the vehicle position in which nothing moves, wherever the setpoint is
+then."""
 SAFE_M = 1.0
-"""Farther inside than this need not be known exactly."""
+"""Depth inside that need not be known more exactly."""
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
 
 
@@ -166,16 +167,17 @@ class InsideFence(SetpointsInside):
         self._is_taken_on = False
         """True if it also left the mode that it was in first after it was ours."""
         self._has_yielded = False
-        """True if it reported another source in control, whatever mode is shown; I3 holds it to
-        that ..."""
+        """True if it reported another source in control, whatever mode is shown; I3 checks that."""
         self._has_left = False
-        """... and the vehicle has left the mode since: until then it flies our last setpoint."""
+        """True if the vehicle has left the mode since that report: until then it flies our last
+        setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
-        """A position and its depth inside."""
+        """Position whose depth inside is known, and that depth."""
         self._fences = 0
         """Number of fences that the autopilot has had in force."""
         self._is_caught = False
-        """A fence or control came when the vehicle could not stop before the border any more."""
+        """True if a fence or control came when the vehicle could not stop before the border any
+        more."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Check it against the true state, too."""
@@ -373,8 +375,8 @@ MISSION_CURRENT = mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
 class FenceIsRead(Invariant):
     """In control, a fence that another station uploads is asked for.
 
-    Not judged: a companion whose last question was not answered, because it rests before it asks
-    again, and on PX4 the time before a MISSION_CURRENT with the fence's new id is heard.
+    Not judged: a companion whose last request was not answered, because it pauses before the next
+    one, and on PX4 the time before a MISSION_CURRENT with the fence's new id is heard.
     """
 
     name = "I1"

@@ -25,9 +25,9 @@ Point = tuple[float, float]
 Corners = Sequence[Point]
 
 BORDER_M = 4.0
-"""Nearer to a border than this, "here" may be moved inwards by the margin."""
+"""Distance from a border within which "here" may be moved inwards by the margin."""
 INWARDS_M = 2.0 * BORDER_M
-"""A position in a corner, or in the notch of one, may be moved by more than the margin."""
+"""Longest such move, of a position in a corner, or in the notch of one."""
 
 
 def _is_wound_around(corners: Corners, point: Point) -> bool:
@@ -160,11 +160,11 @@ SILENCE_S = 3.0
 TICK_S = 0.05
 """Control period of the companion, which looks for a silence at its ticks, s."""
 EARLY_S, LATE_S = 3.0, 10.0
-"""A stamp that is ahead of the vehicle's clock by more, or behind it, is of another clock."""
+"""Lead on the vehicle's clock, and lag behind it, from which a stamp is of another clock, s."""
 SAME_CLOCK_S = 1.0
-"""Without a hardware id the clock of another address has to agree to this, s."""
+"""Agreement required of the clock of another address without a hardware id, s."""
 YOUNG_S = 5.0
-"""A restarted clock shows at most so much more than the time since the vehicle was heard last."""
+"""Excess of a restarted clock over the time since the vehicle was heard last, s."""
 REACH_M, REACH_MPS = 10.0, 25.0
 """Largest distance from the last reported position: at once, and for each second since."""
 STAMPED = (
@@ -248,8 +248,8 @@ class SenderTrust:
     """Follows one of several senders: the vehicle itself, another with its ids, or a stranger.
 
     Only the configured system id, if there is one, is followed. Another address with the same ids
-    is accepted after a silence, from the first frame on whose stamp and place go on from there. It
-    has to answer the hardware id, if one is known, or else to have the same clock. The silence
+    is accepted after a silence, from the first frame on whose stamp and position continue its own.
+    It has to answer the hardware id, if one is known, or else to have the same clock. The silence
     lasts to the control tick before the frame: in a stall the vehicle's frames wait, too.
     """
 

@@ -2,8 +2,8 @@
 
 Theory of operation. One `ObservedScene` keeps the reports to the companion and the truth; thirteen
 small invariants (I1 to I13) look at it whenever a frame is sent or heard, a tick is over or the
-vehicle moved. None uses the companion's own guard, estimator or guidance; its own word (its phase,
-its estimate) is only held against it. A `Scope` says by which of them a kind of flight is judged.
+vehicle moved. None uses the companion's own guard, estimator or guidance; its own reports (its
+phase, its estimate) are only checked. A `Scope` says by which of them a kind of flight is judged.
 """
 
 from __future__ import annotations

@@ -46,15 +46,15 @@ class Rules(Params, frozen=True):
     """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     navigation_sigma_m: NonNegative = 0.3
     state_age_s: Positive = 0.5
-    """An own position older than this is not flown on."""
+    """Longest age of a vehicle position that the companion flies by."""
     answer_s: Positive = TICK_S
-    """After a frame that ends control, this long a setpoint may still leave."""
+    """Time for which a setpoint may still leave after a frame that ends control."""
     gap_s: Positive = 0.1
     """Longest silence of the setpoints while in control."""
     silence_s: Positive = 10.0
-    """Without a HEARTBEAT for this long control is unknown: the companion may fall silent."""
+    """Time without a HEARTBEAT after which control is unknown: the companion may fall silent."""
     stall_s: Positive = 0.5
-    """A control tick later than this must have stopped heartbeat and setpoints."""
+    """Lateness of a control tick from which heartbeat and setpoints must have stopped."""
     sent_frames_per_s: Positive = 150.0
     sent_bytes_per_s: Positive = 15_000.0
     records_per_s: Positive = 60.0
@@ -90,12 +90,12 @@ REMEMBERED = 6000
 """Frames of the vehicle whose time of sending is known."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
 FRAME_STEP_M = 1.0
-"""An origin that moves farther has taken the local frame with it."""
+"""Step of an origin that has taken the local frame with it."""
 METRES_ROUNDING_M = 2e-3
-"""Single precision, some kilometres from the origin."""
+"""Rounding of single precision some kilometres from the origin."""
 DEGREES_ROUNDING_M = 9e-3
-"""Half a step of 1e-7 degrees is 5.6 mm, to the north and to the east, and what it is compared
-with is rounded, too."""
+"""Rounding of degrees: half a step of 1e-7 is 5.6 mm, to the north and to the east, and the value
+that it is compared with is rounded, too."""
 MOST_OF_A_KIND = 20
 """Violations of one kind that are kept; more are counted."""
 
@@ -180,7 +180,7 @@ class ObservedScene:
     is_signed: bool = False
     """Frames without a signature of our key are refused."""
     is_lied_to: bool = False
-    """An unknown peer had to be accepted: in a flood of its positions any may count."""
+    """True if an unknown peer had to be accepted: in a flood of its positions any may count."""
     violations: list[InvariantViolation] = field(default_factory=list)
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     in_force: FencesInForce = field(default_factory=FencesInForce)

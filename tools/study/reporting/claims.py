@@ -32,7 +32,7 @@ OBSTACLE, ROBUSTNESS, CONSISTENCY = "obstacle", "robustness", "consistency"
 
 MAX_REGIME_RMSE_M, MAX_REGIME_WORST_M = 0.03, 0.15
 MAX_STEPS = {"0.5": 20, "1.5": 13, "2.5": 13}
-"""To 2.5 m, by range noise."""
+"""Largest number of steps to 2.5 m, by range noise."""
 MAX_ANYWHERE_RMSE_M, MAX_ANYWHERE_WORST_M = 0.05, 0.5
 NONE_DIVERGED = "no run diverged"
 MAX_OFF_M = 1.0

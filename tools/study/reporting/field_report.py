@@ -9,8 +9,8 @@ A cell is a radio with a configuration and a planner. Definitions:
     error_m ... absolute_r95_m
                           medians over those
     r95_over_error_95     median R95 over the 95 % quantile of the errors; 1 is ideal
-    time_s                median over all flights, who did not report after all others; none where
-                          that is half of them
+    time_s                median over all flights, those without a report after all others; none
+                          where they are half of them
     cut_error_m           median of the last estimates of those that did not report
 
 Relative is about the place in the vehicle's own frame, absolute about that on the Earth. Intervals

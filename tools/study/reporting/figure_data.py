@@ -56,7 +56,7 @@ class Curve:
 
     system: System
     values: Vector
-    """(steps,)"""
+    """Value after every step, (steps,)."""
     is_bound: bool = False
 
 

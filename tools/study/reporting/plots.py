@@ -75,7 +75,7 @@ THEMED = {
 """The page's variables for the colours of a figure."""
 DPI = 180
 LABEL_GAP_PT = 10.5
-"""Between the baselines of two labels."""
+"""Gap between the baselines of two labels, points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 def panels(
     count: int, columns: int, width_in: float, height_in: float, **shared: Any
 ) -> tuple[Figure, Any]:
-    """Return a figure with a grid of axes, by row and column, that shows so many of them."""
+    """Return a figure with a grid of this number of axes, by row and column."""
     rows = -(-count // columns)
     figure = new_figure(width_in * columns + 0.4, height_in * rows + 0.35)
     grid = figure.subplots(rows, columns, squeeze=False, **shared)
@@ -183,7 +183,7 @@ def spread(wanted: Sequence[float], gap: float) -> list[float]:
 
 
 CURVES_IN = (5.2, 3.5)
-"""Small enough to be read on a phone."""
+"""Size of the figure, small enough to be read on a phone."""
 STEP_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 METRE_TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 BOUND = typeset("Cramer-Rao")

@@ -147,14 +147,14 @@ class CommandRules(VehicleProbe):
 
     @book.rule("MAVLink common, MESSAGE_INTERVAL (0: not available)")
     def interval_of_an_unknown_message_is_zero(self) -> None:
-        """MESSAGE_INTERVAL of a message that there is not is 0."""
+        """MESSAGE_INTERVAL of a message that does not exist is 0."""
         self.command(GET_INTERVAL, 12_345.0)
         interval_us = self.expect(Interval, mark=self.asked).interval_us
         require(interval_us == 0, f"{interval_us} us")
 
     @book.rule(INTERVALS)
     def interval_of_an_unknown_message_is_refused(self) -> None:
-        """SET_MESSAGE_INTERVAL of a message that there is not is refused."""
+        """SET_MESSAGE_INTERVAL of a message that does not exist is refused."""
         result = self.set_interval(9_999, 0.1)
         wanted = mav.FAILED if self.is_px4 else mav.DENIED
         require(result == wanted, f"result {result}, not {wanted}")
@@ -194,7 +194,7 @@ class CommandRules(VehicleProbe):
 
     @book.rule(f"{MODE}; {STRICT}", effect=CHANGES)
     def unknown_mode_is_refused(self) -> None:
-        """DO_SET_MODE with a mode that there is not is refused, and the mode stays."""
+        """DO_SET_MODE with a mode that does not exist is refused, and the mode stays."""
         self._require_mode_refused(99.0, 250.0)
 
     @book.rule(f"{MODE} {STRICT}", effect=CHANGES, harms=True)

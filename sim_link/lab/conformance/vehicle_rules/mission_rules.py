@@ -156,7 +156,7 @@ class MissionRules(PlanClient):
 
     @book.rule(SERVICE)
     def request_beyond_the_end_is_an_error(self) -> None:
-        """A request of an item that there is not is answered by an error, not by an item."""
+        """A request of an item that does not exist is answered by an error, not by an item."""
         self.prepare()
         self.begin_download()
         result = self.ack_of(mav.ItemIntRequest(*self.target, 500, mav.MISSION))
@@ -177,7 +177,7 @@ class MissionRules(PlanClient):
 
     @book.rule(f"{SERVICE}, MAV_MISSION_TYPE_ALL")
     def type_all_is_for_clearing_only(self) -> None:
-        """Upload and download of type ALL, or of a type that there is not, are UNSUPPORTED."""
+        """Upload and download of type ALL, or of a type that does not exist, are UNSUPPORTED."""
         wanted = self.prepare()
         for kind in (mav.ALL, 77):
             for message in (mav.Count(*self.target, 1, kind), mav.PlanRequest(*self.target, kind)):

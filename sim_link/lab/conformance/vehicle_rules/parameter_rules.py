@@ -139,7 +139,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(ERRORS)
     def unknown_name_is_an_error(self) -> None:
-        """Reading a name that there is not is answered by PARAM_ERROR."""
+        """Reading a name that does not exist is answered by PARAM_ERROR."""
         self.request_read(NOBODYS)
         self._require_unknown("read by name")
 
@@ -152,7 +152,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(SERVICE, effect=CHANGES)
     def set_never_creates_a_parameter(self) -> None:
-        """Setting a name that there is not creates nothing and is answered by PARAM_ERROR."""
+        """Setting a name that does not exist creates nothing and is answered by PARAM_ERROR."""
         count = self.read(self.float_name).count
         self.write(NOBODYS, 1.0, REAL32)
         self._require_unknown("set")

@@ -228,7 +228,7 @@ class FenceRules(PlanClient):
 
     @book.rule(f"{SERVICE}, Geofence", effect=FLIES)
     def fence_is_kept(self) -> None:
-        """A vehicle sent out of its fence does not go on outwards."""
+        """A vehicle sent out of its fence does not continue outwards."""
         self.take_off()
         radius_m = 30.0
         self.require_upload(self.circle(radius_m), mav.FENCE)

@@ -115,4 +115,4 @@ def test_what_a_flight_refuses_the_schema_refuses(
 
 def test_the_schema_says_what_keys_mean(schema: dict[str, Any]) -> None:
     fence = schema["$defs"]["LimitsConfig"]["properties"]["fence_file"]
-    assert fence["description"].startswith("A QGroundControl .plan or a .kml file")
+    assert fence["description"].startswith("File with the fence instead")

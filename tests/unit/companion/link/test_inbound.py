@@ -18,7 +18,7 @@ from companion.guidance.events import (
 )
 from companion.guidance.vehicle_track import VehicleTrack
 from companion.link.conversion.clock_sync import ClockSync
-from companion.link.inbound import VehicleInbound, is_time_question
+from companion.link.inbound import VehicleInbound, is_time_request
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import (
@@ -343,4 +343,4 @@ def test_an_autopilots_question_for_the_time_is_distinguished_from_an_answer(
 ) -> None:
     message = mavlink.MAVLink_timesync_message(tc1, 5_000_000_000)
     frame = MavCodec(1, 1).encode(message, is_mavlink1=is_mavlink1)
-    assert is_time_question(frame) is is_question
+    assert is_time_request(frame) is is_question
