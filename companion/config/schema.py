@@ -235,8 +235,8 @@ class PlannerConfig(Params, frozen=True):
     kind: CrossingKind | Literal["survey"] = "latched_crossing"
     """Planner during contact; `survey` continues the search pattern regardless of contact."""
     search: PatternKind | None = None
-    """Pattern while there is no contact; null: hold. `probability`: lanes where the chance that is
-    left is best."""
+    """Pattern while there is no contact; null: hold. `probability`: lanes where the remaining
+    probability is highest."""
     pattern: PatternConfig = PatternConfig()
     lost_after_s: Positive = 20.0
     """Time without a usable measurement after which the search pattern resumes."""

@@ -63,7 +63,7 @@ class Belief:
     def problem(self, size: int) -> str | None:
         """Return why a tracker with a state of `size` components cannot start from it, or None."""
         if not 0 < len(self.places) <= MAX_PLACES:
-            return f"{len(self.places)} places"
+            return f"{len(self.places)} hypotheses"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
         own = self.own

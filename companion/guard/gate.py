@@ -51,7 +51,7 @@ class GuardReason(Enum):
     ALTITUDE = "goal is outside the altitude band"
     LEASH = "goal is too far from home"
     BATTERY = "battery is too low to go farther from home"
-    BATTERY_UNKNOWN = "charge of the battery is unknown: no farther from home"
+    BATTERY_UNKNOWN = "battery charge is unknown: no farther from home"
     LAGGING = "vehicle lags behind its setpoint"
     JUMPED = "vehicle is far from its setpoint: staying where it is"
     TOO_FAST = "vehicle is too fast to stop before the fence or a keep-out"

@@ -260,7 +260,7 @@ class Handover:
         if not step_m > ORIGIN_STEP_M:
             return
         context.fencing.read_again()
-        text = f"home moved {step_m:.0f} m: heights stay above the old home"
+        text = f"home moved {step_m:.0f} m: heights still refer to the old home"
         context.warn(text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
         context.passing.hold(finding, event.time_s + SETTLE_S)

@@ -214,7 +214,7 @@ def _forbidden_place(fence: Fence, place: Point) -> str:
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
     if any(depth_m(border, place) < fence.margin_m for border in borders):
         return "estimate is outside the fence: observing from inside"
-    return "estimate is in a keep-out: observing from around it"
+    return "estimate is in a keep-out: observing from outside"
 
 
 CLIMB_FIRST_M = 1.0

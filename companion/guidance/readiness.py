@@ -315,7 +315,7 @@ class Recollection:
         for belief in beliefs:
             problem = context.emitters.resume(belief, now_s - self._kept_at_s, now_s)
             if problem is not None:
-                context.warn(f"estimate reset: it held {problem}")
+                context.warn(f"estimate reset: checkpoint has {problem}")
             else:
                 self._announce_resumed(belief, now_s)
 

@@ -381,7 +381,7 @@ class RadioWatch:
         self._is_silent = is_silent
         if is_silent:
             return [(Severity.WARNING, f"silent for {timeout_s:g} s")]
-        return [(Severity.NOTICE, "is heard again")]
+        return [(Severity.NOTICE, "heard again")]
 
     def _clock(self) -> list[tuple[Severity, str]]:
         restarts = self.stage.clock.restarts

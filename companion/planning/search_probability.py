@@ -172,7 +172,7 @@ class ProbabilityPlanner(SearchPlanner):
             return self._following(request, replace(memory, decision=None, is_choosing=False))
         gain, length_m, name = chosen.first
         share = 100.0 * gain / max(decision.outlook.left, 1e-300)
-        why = f"{name}: {share:.0f} % of the chance, {length_m / self._table.speed_mps:.0f} s"
+        why = f"{name}: {share:.0f} % of the probability, {length_m / self._table.speed_mps:.0f} s"
         return self._deciding(request, _on_track(memory, chosen.legs, 0, why))
 
     def _following(self, request: PlanRequest, memory: ProbabilityMemory) -> ProbabilityMemory:

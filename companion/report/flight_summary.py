@@ -267,7 +267,7 @@ def _show(arguments: argparse.Namespace) -> int:
         shown = f"{{reach_m: {reach_m:g}, reach_sigma_db: {sigma_db:g}}}"
         print(f"reach by the first contact, to paste: search: {{detection: {shown}}}")
     for gap in [] if state is None else gaps_of(state):
-        print(f"gap: {gap.name}, {100.0 * gap.poa:.0f} % of the chance")
+        print(f"gap: {gap.name}, {100.0 * gap.poa:.0f} % of the probability")
     return 0
 
 

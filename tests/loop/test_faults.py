@@ -136,7 +136,7 @@ def test_an_origin_that_moves_in_flight_is_held_on_and_the_estimate_moves_along(
     before = loop.companion.session.estimate
     loop.command(REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
     loop.run(2.0)
-    assert loop.said("local origin moved 12 m: fence kept in place, estimate moved along")
+    assert loop.said("local origin moved 12 m: fence kept in place, estimate shifted with it")
     assert loop.phase is Phase.HOLD
     after = loop.companion.session.estimate
     assert before is not None

@@ -57,10 +57,10 @@ def test_it_is_held_for_while_it_is_gone_and_flown_on_by_itself(name: str) -> No
     texts = [text for _, text in loop.notes.texts]
     assert sum("hold: no ranging" in text for text in texts) == 1
     assert texts.count(f"radio {name}: silent for 5 s") == 1
-    assert f"radio {name}: is heard again" not in texts
+    assert f"radio {name}: heard again" not in texts
     radio.is_gone = False
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 20.0)
     loop.run(5.0)
     texts = [text for _, text in loop.notes.texts]
     assert texts.count(f"radio {name}: silent for 5 s") == 1
-    assert texts.count(f"radio {name}: is heard again") == 1
+    assert texts.count(f"radio {name}: heard again") == 1

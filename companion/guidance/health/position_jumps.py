@@ -255,7 +255,7 @@ class JumpWatch(Watch):
         context.passing.hold(finding, event.time_s + STEADY_S)
         context.enter(Trigger.INPUT_LOST, event.time_s)
         text = f"local origin moved {step_m:.0f} m: fence kept in place"
-        context.warn(f"{text}, estimate moved along" if is_near else f"{text}, estimate reset")
+        context.warn(f"{text}, estimate shifted with it" if is_near else f"{text}, estimate reset")
         return True
 
     def _shift_frame(self, event: OriginSet, shift_enu_m: PositionEnu) -> None:

@@ -192,7 +192,7 @@ def test_an_impossible_belief_is_refused_in_words() -> None:
     recall(flight, replace(memory, belief=replace(memory.belief, places=())))
     flight.ready()
     assert flight.session.estimate is None
-    assert "estimate reset: it held 0 places" in flight.texts
+    assert "estimate reset: checkpoint has 0 hypotheses" in flight.texts
 
 
 def fly_until_localised(flight: ScriptedFlight) -> float:

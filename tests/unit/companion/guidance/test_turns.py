@@ -188,7 +188,7 @@ def test_a_belief_that_makes_no_sense_does_not_take_the_others_with_it() -> None
     broken = replace(memory, others=(replace(other, places=()),))
     flight.give(MemoryRecalled(0.0, broken, 5.0))
     flight.ready()
-    assert any("estimate reset: it held 0 places" in text for text in flight.texts)
+    assert any("estimate reset: checkpoint has 0 hypotheses" in text for text in flight.texts)
     estimate = flight.session.estimate
     assert estimate is not None
     assert estimate.position_enu_m == pytest.approx(FAR[:2], abs=5.0)

@@ -34,7 +34,7 @@ def test_silence_is_told_once_and_its_end_once() -> None:
     watch = watch_of()
     assert told(watch, 0.0, 60.0) == ["radio said: silent for 3 s"]
     measured(watch.stage, READING, now_s=60.0)
-    assert told(watch, 60.0, 62.0) == ["radio said: is heard again"]
+    assert told(watch, 60.0, 62.0) == ["radio said: heard again"]
     assert told(watch, 62.0, 90.0) == ["radio said: silent for 3 s"]
 
 
@@ -48,7 +48,7 @@ def test_the_last_text_says_if_a_radio_that_comes_and_goes_is_heard() -> None:
         admitted = [news for news in watch.tick(now_s) if gate.admit(news, now_s)]
         texts += [news.text for news in [*admitted, *gate.due(now_s)]]
     silent = "radio said: silent for 3 s"
-    assert texts == [silent, "radio said: is heard again", silent]
+    assert texts == [silent, "radio said: heard again", silent]
 
 
 def test_a_radio_that_may_be_silent_is_not_told_as_that() -> None:

@@ -89,7 +89,7 @@ def test_it_flies_to_where_the_chance_is_and_says_so() -> None:
         said.add(flight.waypoint.detail)
     assert min(math.dist(place, (330.0, 330.0)) for place in places[:100]) < 60.0
     assert "choosing the next leg" in said
-    assert any(text.startswith("NE corner: ") and " of the chance, " in text for text in said)
+    assert any(text.startswith("NE corner: ") and " of the probability, " in text for text in said)
     lawnmower = Flight(with_a_spot())
     list(lawnmower.run(160, SearchPlanner(LANES)))
     assert state_of(flight.area).pos > 2.0 * state_of(lawnmower.area).pos
@@ -132,7 +132,7 @@ def test_chosen_legs_leave_a_way_home() -> None:
             place = next(flight.run(1))
             left_m -= math.dist(before, place)
             assert flight.waypoint is not None
-            if "of the chance" in flight.waypoint.detail:
+            if "of the probability" in flight.waypoint.detail:
                 goal = flight.waypoint.position_enu_m
                 assert math.dist(place, goal) + math.dist(goal, HOME) <= left_m + 1e-6
                 chosen += 1
