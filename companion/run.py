@@ -187,6 +187,7 @@ def _reported_progress() -> Iterator[None]:
     is_over = threading.Event()
 
     def report() -> None:
+        """Log the progress until the kernels are compiled."""
         seconds = 0.0
         log.info("compiling kernels, which takes half a minute or more")
         while not is_over.wait(PROGRESS_S):

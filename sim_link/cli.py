@@ -192,6 +192,7 @@ def _run(arguments: argparse.Namespace) -> int:
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def on_wakeup(now_s: float) -> None:
+        """Keep files, apply incidents and print occurrences."""
         files.keep(now_s)
         _apply_incidents(endpoints[0], orders, now_s)
         for endpoint in endpoints:

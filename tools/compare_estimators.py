@@ -94,6 +94,7 @@ def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:
     batch = Batch.of(rows, params.filter)
 
     def result_of(name: str) -> tuple[float, float, tuple[bool, ...], float]:
+        """Return the score of one estimator."""
         rng = np.random.default_rng(seed)
         if name != OURS:
             return score_of(RIVALS[name](batch, rng), truth, None, None)

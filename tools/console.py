@@ -122,6 +122,7 @@ def progress_lines(total: float, stream: TextIO, clock: Callable[[], float]) -> 
     said_s = begun_s
 
     def add(share: float) -> None:
+        """Add finished work, and print a line if one is due."""
         nonlocal done, said_s
         done, now_s = done + share, clock()
         if now_s - said_s >= LINE_EVERY_S:

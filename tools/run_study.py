@@ -160,6 +160,7 @@ def table_to(name: str, table_of: Callable[[list[Any]], tuple[str, bool]]) -> Wr
     """Return what writes a table to a file and prints it."""
 
     def write(out: Path, flown: list[Any]) -> bool:
+        """Write and print the table; return True within the limits."""
         table, is_met = table_of(flown)
         write_text_atomic(out / name, table)
         print(table, end="")

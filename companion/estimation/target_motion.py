@@ -318,6 +318,7 @@ class _MotionFit:
         velocity = last @ self._descent(scores, still)
 
         def is_significant(variability: Matrix) -> bool:
+            """Return True if the velocity is significant at this variability of the residuals."""
             covariance = last @ (variability + self._information) @ last.T
             chi2 = float(velocity @ np.linalg.solve(covariance, velocity))
             return chi2 >= 9.2  # 0.01 for a stationary target

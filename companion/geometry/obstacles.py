@@ -155,6 +155,7 @@ class FreeSpace:
 
     def _free_of(self, arc: Arc) -> Iterator[Arc]:
         def is_on_boundary(turn_rad: float) -> bool:
+            """Return True if the arc keeps the margin there."""
             place = arc.at(turn_rad)
             for edge in self._edges:
                 if math.dist(nearest_on_segment(*edge, place), place) < self.margin_m:

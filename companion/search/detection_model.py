@@ -172,6 +172,7 @@ def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.boo
     """(n,) True where the way from start to end crosses the edge a b."""
 
     def sides(points: Floats) -> Floats:
+        """Return a number for each point, (n,), positive to the left of the edge."""
         beside: Floats = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (
             points[:, 0] - a[0]
         )
@@ -180,6 +181,7 @@ def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.boo
     along = ends - starts
 
     def turns(corner: Floats) -> Floats:
+        """Return a number for each ray, (n,), positive if the corner is to its left."""
         to = corner - starts
         turn: Floats = along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]
         return turn

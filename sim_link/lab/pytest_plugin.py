@@ -226,6 +226,7 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
     started: list[ChildProcess] = []
 
     def start(*arguments: str) -> ChildProcess:
+        """Start a companion with these arguments, and stop it after the test."""
         if not any(text.startswith("--config") for text in arguments):
             arguments = ("--config", str(_default_config(tmp_path)), *arguments)
         log = tmp_path / f"companion{len(started) or ''}.log"

@@ -74,6 +74,7 @@ def frames_each(frames: int) -> Callable[[float], tuple[int, float]]:
     """Return trials of about this number of frames each, all of one size."""
 
     def split(amount: float) -> tuple[int, float]:
+        """Return the number of trials, and the size of each."""
         count = -(-round(amount) // frames)
         return count, amount / count / frames
 

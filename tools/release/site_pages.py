@@ -41,6 +41,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     names = dict(_named(config["nav"]))
 
     def named(link: re.Match[str]) -> str:
+        """Return a link with the name of its page, if it has one."""
         path = posixpath.normpath(posixpath.join(posixpath.dirname(here), link["path"]))
         name = names.get(path)
         return link[0] if name is None else f"[{name}]({link['path']}{link['place'] or ''})"

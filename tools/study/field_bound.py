@@ -124,6 +124,7 @@ def bound_m2(way: Matrix, scenario: Scenario, priors: FilterParams, *, reflects:
     ago_s = about[:, 0] - about[:, 0].max()
 
     def wander(sigma_m: float, tau_s: float) -> Matrix:
+        """Return the covariance, (n, n), of an error's change since each time."""
         kept = np.exp(ago_s / tau_s)
         apart = np.exp(-np.abs(ago_s[:, None] - ago_s[None]) / tau_s)
         walked: Matrix = sigma_m**2 * (apart - kept[:, None] - kept[None] + 1.0)

@@ -65,6 +65,7 @@ def fuse_by_filter(
         state = FilterState.of(0.0, mean, np.diag(sigmas**2))
 
     def fuse(seen: RangingMeasurement, sensor: PositionEnu) -> tuple[TargetEstimate, Matrix]:
+        """Start or update the filter with a measurement."""
         nonlocal state
         if state is None:
             state = first_hypotheses(seen, sensor, params, HypothesisParams())[0].state
@@ -94,6 +95,7 @@ def fuse_by_tracker(tracker: TargetTracker) -> Fuse:
     """Return the companion's tracker, with its window and everything that makes it consistent."""
 
     def fuse(seen: RangingMeasurement, sensor: PositionEnu) -> tuple[TargetEstimate, Matrix]:
+        """Update the tracker with a measurement."""
         tracker.fuse(seen, sensor, seen.measured_at_s)
         estimate = tracker.estimate(seen.measured_at_s)
         assert estimate is not None
@@ -112,6 +114,7 @@ def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
     memory: Any = None
 
     def steer(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
+        """Return the position after a step towards the planner's waypoint."""
         nonlocal memory
         request = PlanRequest(
             vehicle_enu_m=place, estimate=estimate, time_s=STEP_S * step, joint_covariance=joint

@@ -358,6 +358,7 @@ async def resolve(name: str, host: str, port: int) -> Address:
             answer.set_result(address)
 
     def look_up() -> None:
+        """Look up the name in its thread, and settle the result in the loop."""
         try:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):

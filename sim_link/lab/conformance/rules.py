@@ -174,6 +174,7 @@ class RuleBook:
         """
 
         def register(probe: Probe) -> Probe:
+            """Add the method to the book as a rule, and return it unchanged."""
             rule = Rule(
                 rule_id=f"{self._group}.{probe.__name__}",
                 statement=(probe.__doc__ or "").strip().partition("\n")[0],

@@ -258,6 +258,7 @@ class Station:
         cursor = self.mark if mark is None else mark
 
         def is_there() -> bool:
+            """Return True once such a message is in the inbox."""
             nonlocal cursor
             while cursor < len(self.inbox) and not found:
                 message = self.inbox[cursor].message

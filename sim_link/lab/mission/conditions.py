@@ -213,6 +213,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
     getters = tuple(part.get for part in parts)
 
     def get(situation: FlightSituation) -> Value:
+        """Return the function's value; None: a part is unknown."""
         values: list[Any] = [getter(situation) for getter in getters]
         return None if None in values else function(*values)
 
@@ -255,6 +256,7 @@ def _logic(node: ast.BoolOp) -> _Part:
     decisive = isinstance(node.op, ast.Or)
 
     def get(situation: FlightSituation) -> Value:
+        """Return Kleene's `and` or `or` of the parts, by the decisive value."""
         is_unknown = False
         for getter in getters:
             value = getter(situation)
@@ -274,6 +276,7 @@ def _comparison(node: ast.Compare) -> _Part:
         return _Part(Kind.TRUTH, getters[0], node)
 
     def get(situation: FlightSituation) -> Value:
+        """Return True if every pair compares as stated; None: unknown."""
         values = [getter(situation) for getter in getters]
         if False in values:
             return False
