@@ -18,7 +18,7 @@ import numpy as np
 
 from companion.domain import PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.hypotheses import Hypothesis
+from companion.estimation.hypotheses import RING_COUNT, Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
 from companion.estimation.window.map_kernels import OlderEvidence
 from companion.kernel import Matrix
@@ -28,11 +28,9 @@ RESTORED_VARIANCE_FACTOR = 2.0
 
 Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
 """
-MAX_PLACES = 32
-"""Most hypotheses of a checkpoint; a tracker begins with 24, on the ring of a first range."""
 MAX_COORDINATE_M = 1e5
-"""Largest coordinate in the local frame that is accepted from a file, metres: 100 km, far beyond
-any flight."""
+"""Largest coordinate in the local frame, and standard deviation, that is accepted from a file,
+metres: 100 km, as of the vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +60,7 @@ class Belief:
 
     def problem(self, size: int) -> str | None:
         """Return why a tracker with a state of `size` components cannot start from it, or None."""
-        if not 0 < len(self.places) <= MAX_PLACES:
+        if not 0 < len(self.places) <= RING_COUNT:  # most that a tracker begins with
             return f"{len(self.places)} hypotheses"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
@@ -92,7 +90,7 @@ def belief_of(
             tuple(hypothesis.state.mean.tolist()),
             tuple(tuple(row) for row in _widest(hypothesis).tolist()),
         )
-        for hypothesis in hypotheses[:MAX_PLACES]
+        for hypothesis in hypotheses[:RING_COUNT]
     )
     return Belief(emitter_id, measurements, places, own, raised_m)
 
@@ -145,8 +143,7 @@ def _problem(place: StoredHypothesis, size: int) -> str | None:
     scale = np.sqrt(np.abs(np.diag(P)))
     if np.abs(P - P.T).max() > 1e-6 * float(np.outer(scale, scale).max()):  # rounding leaves less
         return "a covariance that is not symmetric"
-    largest = 1e8  # m^2, a sigma of 10 km, or rad^2
-    if np.diag(P).max() > largest or np.diag(P).min() <= 0.0:
+    if np.diag(P).max() > MAX_COORDINATE_M**2 or np.diag(P).min() <= 0.0:
         return "an impossible variance"
     normal = P / np.outer(scale, scale)
     return None if np.linalg.eigvalsh(normal)[0] > 0.0 else "a covariance that is not positive"

@@ -34,6 +34,8 @@ from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
 from companion.search.searched_area import SearchPrior
 
+RING_COUNT = 24
+"""First hypotheses on the ring of a range: one every 15 degrees, two of their sigmas apart."""
 AMBIGUOUS_PROBABILITY = 0.05
 """Probability of a second hypothesis from which the estimate is ambiguous: R95 leaves out 5 %."""
 
@@ -135,9 +137,8 @@ def _before_and_behind_rad(array: ArrayDirection, second: float) -> list[float]:
 
 def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
     radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
-    count = 24  # one every 15 degrees, two sigmas apart
-    across_m = math.pi * ground_m / count
-    directions_rad = [2.0 * math.pi * index / count for index in range(count)]
+    across_m = math.pi * ground_m / RING_COUNT
+    directions_rad = [2.0 * math.pi * index / RING_COUNT for index in range(RING_COUNT)]
     return [
         (direction_rad, ground_m, _polar_covariance(direction_rad, radial_m, across_m))
         for direction_rad in directions_rad
@@ -155,8 +156,9 @@ def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams)
     """Return the positions about the prior distance, which is known to a factor of three."""
     rise_m = sensor_enu_m[2] - params.target_height_m
     placed: _Placed = []
-    count = 8  # on each of three rings, two sigmas apart; a power says less than a range
-    for ratio in (0.33, 1.0, 3.0):  # 10 to 15 dB at an exponent of 2.75 are a factor of 2.3 to 3.5
+    ratios = 0.33, 1.0, 3.0  # 10 to 15 dB at an exponent of 2.75 are a factor of 2.3 to 3.5
+    count = RING_COUNT // len(ratios)  # on each ring, two sigmas apart
+    for ratio in ratios:
         slant_m = ratio * distance_by_power_m(power_dbm, params)
         ground_m = math.sqrt(max(slant_m**2 - rise_m**2, 1.0))
         across_m = math.pi * ground_m / count

@@ -31,7 +31,7 @@ from companion.domain import RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, Inflation, UpdateReport
 from companion.estimation.innovations import OPEN, Gate, mean_band
 from companion.estimation.screen import Objection, RecentShare
-from companion.estimation.window.antenna_check import ConfiguredAntennaCheck
+from companion.estimation.window.antenna_check import MIN_DIRECTIONS, ConfiguredAntennaCheck
 from companion.estimation.window.sandwich import MIN_MEASUREMENTS
 from companion.estimation.window.shared_errors import GAP_S
 
@@ -90,12 +90,9 @@ class Contact:
         return None if self.bearing_s is None else max(now_s - self.bearing_s, 0.0)
 
 
-PROVEN_COUNT = 40
-"""Measurements that agreed before an estimate may reject outliers.
-
-Chosen: 4 s of a radio of 10 Hz. More leave an estimate open to outliers for longer, fewer let one
-that began wrongly reject what is right.
-"""
+PROVEN_COUNT = MIN_DIRECTIONS
+"""Measurements that agreed before an estimate may reject outliers: as many as decide about an
+antenna, 4 s of a radio of 10 Hz."""
 CONTRADICTION_COUNT = PROVEN_COUNT
 """Consecutive contradicting measurements at which the track is discarded: as many as proved it."""
 CONTRADICTION_U = 3.0

@@ -31,6 +31,7 @@ from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
 from companion.estimation.stepwise import Steps, Stepwise, passes
 from companion.estimation.window.map_kernels import SEQUENCE, SIGMAS, VALUES, hold_at_bounds
+from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO
 from companion.estimation.window.sandwich import (
     Scores,
     correlated_variability,
@@ -55,6 +56,9 @@ SIGNIFICANT_CHI2 = 60.0
 """Statistic of a significant motion: ten times the 95 % quantile of chi-square with 2 degrees of
 freedom, because errors that persist for half a minute or depend on the position occasionally reach
 55."""
+CLEAR_CHI2 = -2.0 * IMPROBABLE_LOG_RATIO
+"""Statistic below which there is no sign of motion: the quantile of chi-square with 2 degrees of
+freedom that a stationary target exceeds as rarely as a dropped rival is right."""
 CONFIRMING_TESTS = 2
 """Consecutive significant tests that confirm a motion.
 
@@ -163,7 +167,7 @@ class MotionWatch:
             self._cleared = 0
             self._is_confirmed = self._is_confirmed or self._significant >= CONFIRMING_TESTS
             return
-        is_clear = found is None or found.significance < 18.4  # 1e-4 for a stationary target
+        is_clear = found is None or found.significance < CLEAR_CHI2
         self._left = IDLE_EVERY_COUNT if is_clear else every_count
         self._cleared = self._cleared + 1 if is_clear else 0
         self._significant = 0

@@ -8,6 +8,7 @@ from companion.domain import Distance, Params, Positive
 from companion.estimation.filters.kalman import FilterKind
 from companion.estimation.filters.target_filter import FilterConfig, FilterParams
 from companion.estimation.hypotheses import HypothesisParams
+from companion.estimation.innovations import GATE_SIGMAS
 from companion.estimation.screen import AcceptanceParams
 from companion.estimation.window.window_map import WindowParams
 
@@ -39,7 +40,7 @@ class TrackerParams(EstimationConfig, frozen=True):
     """False: the radio adds an unknown constant, so no position is `localised`."""
     initial_inflation: Positive = 4.0
     """Variance inflation that is assumed until it has been measured."""
-    range_gross_k: Positive | None = 6.0
+    range_gross_k: Positive | None = GATE_SIGMAS
     """Ranges shorter than predicted by more than this many sigma have a linear loss even where
     `filter.range_k_short` is null: noise does not produce them; null: quadratic at any size."""
     adapt_inflation: bool = True

@@ -44,7 +44,7 @@ from companion.estimation.window.map_kernels import (
     row_residuals,
     row_sigmas,
 )
-from companion.estimation.window.sandwich import Scores, long_run_variance
+from companion.estimation.window.sandwich import SIGNIFICANT_SIGMAS, Scores, long_run_variance
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
@@ -241,8 +241,7 @@ def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
 
     None: there are none, or too few others for a comparison.
     """
-    nlos = 2.0  # sigma; chosen: noise alone exceeds it once in 44, and that costs a bearing
-    is_long = np.any([each.excess > nlos for each in found], axis=0)
+    is_long = np.any([each.excess > SIGNIFICANT_SIGMAS for each in found], axis=0)
     if not is_long.any() or np.count_nonzero(~is_long) < MIN_DIRECTIONS:
         return None
     direct = np.array(rows)

@@ -110,7 +110,7 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
     ("places", "problem"),
     [
         ((), "0 hypotheses"),
-        ((GOOD,) * 33, "33 hypotheses"),
+        ((GOOD,) * 25, "25 hypotheses"),
         ((replace(GOOD, mean=(1.0, 2.0)),), "another size"),
         ((replace(GOOD, covariance=GOOD.covariance[:3]),), "another size"),
         ((with_row((1.0,)),), "another size"),
@@ -119,7 +119,7 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
         ((with_row((math.inf, 0.0, 0.0, 0.0)),), "no number"),
         ((replace(GOOD, mean=(0.0, -2e5, 0.0, 0.0)),), "horizon"),
         ((with_row((1.0, 0.5, 0.0, 0.0)),), "symmetric"),
-        ((with_row((1e9, 0.0, 0.0, 0.0)),), "variance"),
+        ((with_row((1e11, 0.0, 0.0, 0.0)),), "variance"),
         ((with_row((-1.0, 0.0, 0.0, 0.0)),), "variance"),
         ((with_row((0.0, 0.0, 0.0, 0.0)),), "variance"),
         (
