@@ -11,7 +11,6 @@ with coarse numbers repeats them only while the vehicle moves little compared to
 from __future__ import annotations
 
 import math
-import statistics
 from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
@@ -191,18 +190,8 @@ class SampleHistory:
 
     def add(self, sample: Sample) -> None:
         """Process a value as reported, and check the unit if that is due."""
-        samples, (span_s, least, _, every, changed_ratio) = self._samples, self._sampling
+        samples, (span_s, least, _, every) = self._samples, self._sampling
         samples.append(sample)
-        if changed_ratio is not None:
-            count = 4  # chosen: fewer may be outliers, more delay the next check
-            sizes = [each.value for each in samples]
-            before, newest = sizes[:-count], sizes[-count:]
-            if len(before) >= count:
-                middle = statistics.median(before)
-                if max(newest) < middle / changed_ratio or min(newest) > middle * changed_ratio:
-                    for _ in before:  # of another unit: a mixture of units explains nothing
-                        samples.popleft()
-                    self._since = every
         while len(samples) > least and samples[0].time_s < sample.time_s - span_s:
             samples.popleft()
         self._since += 1

@@ -37,6 +37,7 @@ import numpy as np
 
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.hypotheses import RING_COUNT
 from companion.estimation.window.sandwich import MIN_MEASUREMENTS
 from companion.geometry.coordinates import wrap_pi
 from companion.kernel import Matrix, Vector
@@ -64,26 +65,21 @@ class Sampling(NamedTuple):
     most: int
     every: int
     """Samples between two checks."""
-    changed_ratio: float | None = None
-    """Ratio of the newest to earlier ones from which they come in another unit than before, and the
-    next check as soon as possible; None: the size of a value shows nothing."""
 
 
 FACTORS = (1e-3, 1e-2, 1.0 / 57.29577951308232)
 """Reported over true range in kilometres, in hundreds of metres, and after a conversion from
 degrees to radians that was applied to ranges as well."""
-CHANGED_RATIO = 5.0
-"""Ratio of newest to earlier ranges from which they come in another unit than before.
-
-Chosen: far below the least factor of a unit, 57; a smaller ratio drops ranges that changed because
-the vehicle moved.
-"""
-RANGES = Sampling(span_s=3.0, least=MIN_MEASUREMENTS, most=48, every=8, changed_ratio=CHANGED_RATIO)
-"""A vehicle at 3 m/s moves by 9 m in that span. Chosen: more ranges decide later and cost more."""
+RANGES = Sampling(span_s=3.0, least=MIN_MEASUREMENTS, most=48, every=8)
+"""A vehicle at 3 m/s moves by 9 m in that span."""
+WILD_M = 100.0
+"""Most metres that reflections add to a range: quartiles of 3 s are up to 20 m apart in the field's
+flights and 11 m on recorded walks, so that half of it or twice as much decides alike there."""
 DECISION_LOG_ODDS = math.log(1000.0)
 """Log odds at which a hypothesis about the radio is accepted: a unit, or an antenna.
 
-Chosen: a wrong decision costs the whole search, a late one some seconds.
+A wrong decision costs the whole search, a late one some seconds: on 41 recorded walks ranges in
+metres reach 4.7, and log(1e5) recognises another unit 0.9 s later, at 4.7 s.
 """
 
 
@@ -132,8 +128,8 @@ class _Moments:
         total = float(residual @ residual)
         if total <= 0.0:
             return float(self.count)
-        rho = min(max(float(residual[1:] @ residual[:-1]) / total, 0.0), 0.95)
-        return self.count * (1.0 - rho) / (1.0 + rho)
+        rho = max(float(residual[1:] @ residual[:-1]) / total, 0.0)
+        return max(self.count * (1.0 - rho) / (1.0 + rho), 1.0)
 
 
 class UnitCheck:
@@ -144,10 +140,10 @@ class UnitCheck:
         self._noise2_m2 = max(1e-3, params.step_sigma_m) ** 2
         """Variance that always counts as unexplained, in the radio's own numbers: no radio resolves
         a thousandth."""
-        count = 24  # chosen: every 15 degrees, and of 20 rings to 2 km each 1.5 times as far
-        angles = 2.0 * math.pi * np.arange(count) / count
+        angles = 2.0 * math.pi * np.arange(RING_COUNT) / RING_COUNT
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        rings = np.geomspace(1.0, max_range_m, 20)[:, None, None] * around
+        count = 20  # each ring is 1.5 times as wide as the one before, to 2 km
+        rings = np.geomspace(1.0, max_range_m, count)[:, None, None] * around
         self._around_m: Matrix = rings.reshape(-1, 2)
         """Trial positions relative to the vehicle, (places, 2)."""
         self._rejected_s = 0.0
@@ -178,11 +174,11 @@ class UnitCheck:
     def _reconsider(self, window: _Window, middle_m: float) -> None:
         """Accept ranges again when metres are more probable, or when their size has changed."""
         if self.factor is not None:
-            metres = -3.0  # 20 to 1; chosen: less certain than the decision that it takes back
-            _, log_ratio = self._likeliest(window, (self.factor,), metres)
-            if log_ratio <= metres:
+            _, log_ratio = self._likeliest(window, (self.factor,), 0.0)
+            if log_ratio <= 0.0:
                 self.factor = None
-        if self.is_wild and middle_m < self._rejected_m / CHANGED_RATIO:
+        # half way, as a ratio, to the largest ranges of another unit
+        if self.is_wild and middle_m < self._rejected_m * math.sqrt(max(FACTORS)):
             self.is_wild = self._is_wild(window)
 
     def _likeliest(
@@ -199,8 +195,8 @@ class UnitCheck:
         if log_ratio < limit:
             return factors[best], log_ratio
         # metres get the benefit of positions between the grid points; this only lowers the ratio
-        starts = places[np.argsort(in_metres)[:4]]  # chosen: more take longer
-        distances_m = self._distances_m(self._refined(starts, window), window.sensor_enu_m)
+        start = places[[int(np.argmin(in_metres))]]
+        distances_m = self._distances_m(self._refined(start, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)
         best_in_metres = float(self._costs(refined, (1.0,), count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
@@ -216,7 +212,7 @@ class UnitCheck:
     def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
         """Return the positions after Gauss-Newton steps with a free offset, (places, 2)."""
         refined = np.array(places_enu_m)
-        for _ in range(5):  # chosen: the start is within a cell of the grid
+        for _ in range(5):  # from within a cell of the grid; two steps decide alike on 41 walks
             distances_m = self._distances_m(refined, window.sensor_enu_m)
             for place, distance_m in zip(refined, distances_m, strict=True):
                 partials = (place - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
@@ -235,8 +231,6 @@ class UnitCheck:
         residual2 = tried.residual2(factor) / tried.count
         cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
-        is_too_noisy = np.sqrt(residual2) / factor > 40.0  # m; chosen: it would be useless
-        cost[is_too_noisy & (factor != 1.0)] = math.inf
         return cost
 
     def _offset_cost(self, offset_m: Matrix) -> Matrix:
@@ -246,15 +240,13 @@ class UnitCheck:
         high_m = p.range_offset_max_m or 0.0
         sigma_m = p.range_offset_sigma_m if p.range_offset_min_m is None else p.range_sigma_m
         below = np.minimum(offset_m - low_m, 0.0) / sigma_m
-        free_m = 30.0  # chosen: reflections add as much; more would excuse metres for any unit
-        above = np.maximum(offset_m - high_m - free_m, 0.0) / p.range_offset_sigma_m
+        above = np.maximum(offset_m - high_m - WILD_M, 0.0) / p.range_offset_sigma_m
         cost: Matrix = 0.5 * (below**2 + above**2)
         return cost
 
     def _is_wild(self, window: _Window) -> bool:
         """Return True if the quartiles are farther apart than the vehicle's motion explains."""
-        # m; chosen: less rejects a radio among reflections, more trusts one that reports noise
-        most_m = 100.0 + self._params.range_step_m
+        most_m = WILD_M + self._params.range_step_m
         if float(np.ptp(window.range_m)) <= most_m:
             return False
         low_m, high_m = np.quantile(window.range_m, [0.25, 0.75])
@@ -269,11 +261,8 @@ def _clipped(range_m: Sequence[float], middle_m: float) -> Vector:
     return clipped
 
 
-BEARINGS = Sampling(span_s=4.0, least=16, most=96, every=4)
-"""Their span is that of the bearings that are tested for being random, at up to 24 Hz.
-
-Chosen: more bearings decide later, of fewer a small scatter is chance.
-"""
+BEARINGS = Sampling(span_s=4.0, least=MIN_MEASUREMENTS, most=96, every=4)
+"""Their span is that of the bearings that are tested for being random, at up to 24 Hz."""
 
 
 class BearingCheck:
@@ -294,21 +283,17 @@ class BearingCheck:
         self.is_rejected = self.is_quiet or self.is_random
 
     def _judge_quiet(self, samples: Sequence[Sample]) -> None:
-        # chosen: on a shorter way a true bearing may stay as it is; a longer one takes longer
-        span_s, path_m = 2.5, 5.0
-        since_s = samples[-1].time_s - span_s
-        recent = [sample for sample in samples if sample.time_s >= since_s]
-        if len(recent) < BEARINGS.least:
-            recent = list(samples)[-BEARINGS.least :]
-        bearings = [sample.value for sample in recent]
-        sigma_rad = statistics.median([sample.sigma for sample in recent])
+        bearings = [sample.value for sample in samples]
+        sigma_rad = statistics.median([sample.sigma for sample in samples])
         middle = math.atan2(math.fsum(map(math.sin, bearings)), math.fsum(map(math.cos, bearings)))
         off = [wrap_pi(bearing - middle) for bearing in bearings]
         low, *_, high = statistics.quantiles(off, n=10, method="inclusive")
-        if high - low >= (1.0 / 6.0) * sigma_rad:  # noise alone makes 2.6 sigma
+        # noise alone makes 2.6 sigma, and bearings of flights and recorded walks 2.0 at the least
+        if high - low >= (1.0 / 6.0) * sigma_rad:
             self.is_quiet = False
             return
-        places = [sample.place_enu_m for sample in recent]
+        path_m = 5.0  # at 30 m its end is 10 degrees off: more than any noise of the presets
+        places = [sample.place_enu_m for sample in samples]
         if sum(math.dist(before, after) for before, after in pairwise(places)) >= path_m:
             self.is_quiet = True
 
