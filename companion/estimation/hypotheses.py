@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.domain import ArrayDirection, Params, PositionEnu, Positive, RangingMeasurement
+from companion.domain import ArrayDirection, PositionEnu, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams, FilterState
 from companion.estimation.measurement_model import (
     AZIMUTH,
@@ -36,15 +36,11 @@ from companion.search.searched_area import SearchPrior
 
 RING_COUNT = 24
 """First hypotheses on the ring of a range: one every 15 degrees, two of their sigmas apart."""
+RAY_DISTANCES_M = tuple(3.0 * 1.8**index for index in range(RING_COUNT // 3))
+"""Distances of the hypotheses along a bearing, metres: from 3 m, nearer than which a direction is
+hardly flown past, to 184 m. With a radial sigma of 0.35 of the distance they overlap."""
 AMBIGUOUS_PROBABILITY = 0.05
 """Probability of a second hypothesis from which the estimate is ambiguous: R95 leaves out 5 %."""
-
-
-class HypothesisParams(Params, frozen=True):
-    """Layout of the first hypotheses."""
-
-    nearest_m: Positive = 3.0
-    """Distance of the nearest hypothesis along a bearing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +65,6 @@ def first_hypotheses(
     measurement: RangingMeasurement,
     sensor_enu_m: PositionEnu,
     filter_params: FilterParams,
-    params: HypothesisParams,
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses that a target's first measurement gives rise to."""
     range_m, power_dbm = measurement.range_m, measurement.power_dbm
@@ -79,7 +74,7 @@ def first_hypotheses(
         placed = [
             place
             for direction_rad in _directions_rad(measurement)
-            for place in _along_ray(direction_rad, filter_params, params)
+            for place in _along_ray(direction_rad, filter_params)
         ]
     else:
         rise_m = sensor_enu_m[2] - filter_params.target_height_m
@@ -169,17 +164,13 @@ def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams)
     return placed
 
 
-def _along_ray(
-    bearing_rad: float, filter_params: FilterParams, params: HypothesisParams
-) -> _Placed:
+def _along_ray(bearing_rad: float, params: FilterParams) -> _Placed:
     sigma_rad = math.radians(
-        math.hypot(filter_params.bearing_offset_sigma_deg, 2 * filter_params.bearing_sigma_deg)
+        math.hypot(params.bearing_offset_sigma_deg, 2 * params.bearing_sigma_deg)
     )
-    # eight, from 3 m out to 184 m; with a radial sigma of 0.35 of the distance they overlap
-    distances_m = [params.nearest_m * 1.8**index for index in range(8)]
     return [
         (bearing_rad, far_m, _polar_covariance(bearing_rad, 0.35 * far_m, far_m * sigma_rad))
-        for far_m in distances_m
+        for far_m in RAY_DISTANCES_M
     ]
 
 

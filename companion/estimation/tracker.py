@@ -249,9 +249,7 @@ class TargetTracker:
 
     def _start(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
         self.hypotheses = ranked(
-            first_hypotheses(
-                measurement, sensor_enu_m, self.params.effective_filter, self.params.hypotheses
-            ),
+            first_hypotheses(measurement, sensor_enu_m, self.params.effective_filter),
             self.prior,
         )
 

@@ -7,7 +7,6 @@ import msgspec
 from companion.domain import Distance, Params, Positive
 from companion.estimation.filters.kalman import FilterKind
 from companion.estimation.filters.target_filter import FilterConfig, FilterParams
-from companion.estimation.hypotheses import HypothesisParams
 from companion.estimation.innovations import GATE_SIGMAS
 from companion.estimation.screen import AcceptanceParams
 from companion.estimation.window.window_map import WindowParams
@@ -34,7 +33,6 @@ class TrackerParams(EstimationConfig, frozen=True):
 
     filter: FilterParams = FilterParams()
     acceptance: AcceptanceParams = AcceptanceParams()
-    hypotheses: HypothesisParams = HypothesisParams()
     window: WindowParams = WindowParams()
     is_range_calibrated: bool = True
     """False: the radio adds an unknown constant, so no position is `localised`."""

@@ -18,7 +18,7 @@ import numpy as np
 from companion.domain import EstimateState, PositionEnu, RangingMeasurement, TargetEstimate
 from companion.errors import ConfigError
 from companion.estimation.filters.target_filter import FilterParams, FilterState, TargetFilter
-from companion.estimation.hypotheses import HypothesisParams, first_hypotheses
+from companion.estimation.hypotheses import first_hypotheses
 from companion.estimation.measurement_model import MODALITIES, RANGE_OFFSET
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
@@ -68,7 +68,7 @@ def fuse_by_filter(
         """Start or update the filter with a measurement."""
         nonlocal state
         if state is None:
-            state = first_hypotheses(seen, sensor, params, HypothesisParams())[0].state
+            state = first_hypotheses(seen, sensor, params)[0].state
         else:
             predicted = target_filter.predict(state, seen.measured_at_s)
             state = target_filter.update(predicted, seen, sensor).state

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.estimation.filters.target_filter import FilterParams
+from companion.estimation.hypotheses import RAY_DISTANCES_M
 from companion.estimation.target_estimate import r95_of_covariance_m
 from companion.estimation.window.map_kernels import (
     MAX_ITERATIONS,
@@ -164,8 +165,8 @@ def test_fresh_starts_are_as_far_as_the_ranges_say() -> None:
 def test_without_ranges_fresh_starts_take_turns_near_and_far() -> None:
     rows = walk(np.random.default_rng(5), ranges=False)
     centre = rows[:, :2].mean(axis=0)
-    distances = [math.dist(start_around(rows, 0.3, i, params())[:2], centre) for i in range(4)]
-    assert distances == pytest.approx([4.0, 12.0, 36.0, 4.0])
+    distances = [math.dist(start_around(rows, 0.3, i, params())[:2], centre) for i in range(9)]
+    assert distances == pytest.approx([*RAY_DISTANCES_M, RAY_DISTANCES_M[0]])
 
 
 # -- Covariances ---------------------------------------------------------------------------------
