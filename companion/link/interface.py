@@ -34,7 +34,7 @@ MOST_EMITTERS = 256
 """Limit of names of a stream; forged input can invent any number."""
 LAST_ID = 65_535
 _MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|(?:[0-9a-f]{4}){1,4}", re.I)
-_NUMBER = re.compile(r"0|[1-9][0-9]{0,18}|0[xX][0-9a-fA-F]{1,16}")
+_NUMBER = re.compile(r"[1-9][0-9]{0,18}|0[0-9]{0,4}|0[xX][0-9a-fA-F]{1,16}")
 
 
 class RadioSettings(Params, frozen=True):
@@ -164,7 +164,7 @@ class EmitterNames:
                 return None
         text = str(emitter).strip()
         if _NUMBER.fullmatch(text):
-            return str(int(text, 0))
+            return str(int(text, 16 if text[:2] in ("0x", "0X") else 10))
         return text.lower().replace("-", ":") if _MAC.fullmatch(text) else text
 
     def _find(self, emitter: str | int | None) -> int | None:

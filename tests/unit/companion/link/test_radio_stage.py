@@ -12,6 +12,7 @@ from companion.domain import Params, RangingMeasurement
 from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.radios.decoder import AngleFrame, RadioDecoder, RadioKind, RadioReading
+from companion.radios.fields import emitter_name
 
 READING = RadioReading(emitter=7, range_m=42.0)
 
@@ -97,6 +98,13 @@ def test_a_frequency_is_found_within_its_tolerance() -> None:
     stray = [one(stage, replace(READING, emitter=name)).emitter_id for name in ("144.39", "144.40")]
     assert stray[0] == stray[1]
     assert stray[0] not in (4, 5)
+
+
+def test_a_name_of_digits_is_listed_as_it_is_printed() -> None:
+    """A tag prints its address in hexadecimal, four digits: `0012` is a name, not twelve."""
+    stage = stage_of(emitters={"0012": 3, "00A1": 4, "7": 5})
+    printed = [emitter_name(text) for text in ("0012", "00A1", "07")]
+    assert [one(stage, replace(READING, emitter=each)).emitter_id for each in printed] == [3, 4, 5]
 
 
 def test_what_names_no_emitter_is_the_configured_one() -> None:
