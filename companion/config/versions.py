@@ -1,7 +1,8 @@
 """The version of the configuration's schema, and the migration of files of schema 1.
 
 The number goes up when a key is renamed, moved, removed or changes its meaning; an added key does
-not change it. A file without a version is of the first.
+not change it. A file without a version is of the first. Schema 2 is not released yet: until then
+its step takes further changes, afterwards the next schema gets a step of its own in `renew`.
 """
 
 from __future__ import annotations
@@ -145,7 +146,7 @@ def renew(raw: dict[str, Any], name: str) -> list[str]:
             f"{SCHEMA_VERSION}; install a newer companion-guidance"
         )
     raw[KEY] = SCHEMA_VERSION
-    return [*_merge_to_2(raw), *_drop(raw, name)] if version < SCHEMA_VERSION else []
+    return [*_merge_to_2(raw), *_drop(raw, name)] if version < 2 else []
 
 
 def _drop(raw: dict[str, Any], name: str) -> list[str]:
@@ -155,7 +156,7 @@ def _drop(raw: dict[str, Any], name: str) -> list[str]:
         gone = GONE[path]
         if _pop(raw, path) != gone.default:
             advice = gone.advice or f"delete it: it is fixed at {gone.default}"
-            raise ConfigError(f"{name}: $.{path}: gone since schema {SCHEMA_VERSION}; {advice}")
+            raise ConfigError(f"{name}: $.{path}: gone since schema 2; {advice}")
     return dropped
 
 

@@ -33,7 +33,7 @@ from companion.config.schema import (
     with_radios,
     with_signing_key,
 )
-from companion.config.versions import KEY, SCHEMA_VERSION, is_in, renew
+from companion.config.versions import KEY, is_in, renew
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LATITUDES_DEG, tile_at
 from companion.link.interface import RadioSettings
@@ -99,7 +99,7 @@ def notes_of(file: Path | None) -> list[str]:
     """Return remarks about keys of a file that an earlier schema had and that have no effect."""
     raw = {} if file is None else parse_value(read_text(file), str(file))
     dropped = renew(raw, str(file)) if isinstance(raw, dict) else []
-    return [f"# $.{path} is gone since schema {SCHEMA_VERSION}: delete it" for path in dropped]
+    return [f"# $.{path} is gone since schema 2: delete it" for path in dropped]
 
 
 def json_schema() -> str:

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from companion.cli import main
+from companion.config import versions
 from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import GONE, SCHEMA_VERSION, Gone, renew
 from companion.errors import ConfigError
@@ -95,7 +96,7 @@ MERGED = (
 def test_keys_that_were_merged_are_carried_over(tmp_path: Path, earlier: str, now: str) -> None:
     old, new = tmp_path / "rc1.yaml", tmp_path / "now.yaml"
     old.write_text(earlier)
-    new.write_text(f"schema_version: 2\n{now}")
+    new.write_text(f"schema_version: {SCHEMA_VERSION}\n{now}")
     assert load_config(old) == load_config(new) != CompanionConfig()
 
 
@@ -124,18 +125,33 @@ def test_a_key_that_is_gone_is_refused_with_another_value(path: str, gone: Gone)
 
 
 def test_a_file_of_the_present_schema_keeps_what_it_has() -> None:
+    raw = {"schema_version": SCHEMA_VERSION, "emitter_id": 7}
+    assert renew(raw, "site") == []
+    assert raw == {"schema_version": SCHEMA_VERSION, "emitter_id": 7}
+
+
+def test_the_next_schema_migrates_files_of_this_one_by_its_own_step_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(versions, "SCHEMA_VERSION", 3)
     raw = {"schema_version": 2, "emitter_id": 7}
     assert renew(raw, "site") == []
-    assert raw == {"schema_version": 2, "emitter_id": 7}
+    assert raw == {"schema_version": 3, "emitter_id": 7}
+    with pytest.raises(ConfigError, match="gone since schema 2"):
+        renew({"limits": {"step_m": 1.0}}, "site")
+
+
+ONE_OF = f"expected a whole number from 1 to {SCHEMA_VERSION}"
+NEXT = SCHEMA_VERSION + 1
 
 
 @pytest.mark.parametrize(
     ("version", "complaint"),
     [
-        (3, "the file is of schema 3, and this companion reads up to 2; install a newer "),
-        (0, "expected a whole number from 1 to 2"),
-        (True, "expected a whole number from 1 to 2"),
-        ("2", "expected a whole number from 1 to 2"),
+        (NEXT, f"the file is of schema {NEXT}, and this companion reads up to {SCHEMA_VERSION}; "),
+        (0, ONE_OF),
+        (True, ONE_OF),
+        (f"{SCHEMA_VERSION}", ONE_OF),
     ],
 )
 def test_an_unknown_version_is_refused_in_one_line(version: object, complaint: str) -> None:
