@@ -175,7 +175,10 @@ class ProcessDiagnostics:
             return
         self._is_disk_silent = is_silent
         if is_silent:
-            text = f"the disk has not answered for {SILENT_DISK_S:g} s: flying on, the log waits"
+            text = (
+                f"the disk has not answered for {SILENT_DISK_S:g} s: the flight continues, the log "
+                "waits"
+            )
             self._announce(Severity.WARNING, text, now_s)
         else:
             self._announce(Severity.NOTICE, "the disk answers again", now_s)
@@ -186,7 +189,10 @@ class ProcessDiagnostics:
         dropped += 0 if writer is None else writer.failed
         if dropped > self._reported_dropped:
             self._reported_dropped = dropped
-            text = f"{dropped} log entries lost: the disk is full, broken or too slow; flying on"
+            text = (
+                f"{dropped} log entries lost: the disk is full, broken or too slow; the flight "
+                "continues"
+            )
             self._announce(Severity.WARNING, text, now_s)
 
     def _announce(self, severity: Severity, text: str, now_s: float) -> None:

@@ -85,7 +85,7 @@ class PeriodicTasks:
             except Exception:
                 del self._tasks[name]
                 log.exception("%s: failed", name)
-                text = f"internal error: {name} ended; flying on"
+                text = f"internal error: {name} ended; the flight continues"
                 self._endpoint.handle_event(ProcessMessage(now_s, Severity.ERROR, text))
 
 

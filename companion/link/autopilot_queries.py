@@ -423,7 +423,8 @@ class AutopilotQueries:
         if not self._text_limit.acquire(now_s):
             return []
         self._stale = stale
-        return [Announce(Severity.WARNING, f"no {' and '.join(stopped)} any more: asking again")]
+        text = f"no {' and '.join(stopped)} any more: requesting again"
+        return [Announce(Severity.WARNING, text)]
 
     def restart(self) -> None:
         """Start again after a restart of the autopilot, which forgets requests."""

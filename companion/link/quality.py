@@ -227,8 +227,10 @@ class LinkAlarms:
         dropped = sum(intake.budget.dropped_unread for intake in self._intakes)
         for other in binding.others if binding.is_committed else ():
             if other not in self._others:
-                text = f"another autopilot is on this link, system {other}"
-                texts.append(f"{text}; ours is {binding.system_id} (vehicle.system_id chooses)")
+                texts.append(
+                    f"another autopilot is on this link, system {other}; ours is "
+                    f"{binding.system_id} (vehicle.system_id chooses)"
+                )
                 self._others.add(other)
         if self._moves.take(binding.moves, now_s):
             place = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"

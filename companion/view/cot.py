@@ -123,6 +123,6 @@ class CotView(FlightView):
         except OSError as error:
             self.refused += 1
             if self.refused == 1:
-                log.warning("Cursor on Target: not sent (%s); flying on", error.strerror)
+                log.warning("Cursor on Target: not sent (%s); the flight continues", error.strerror)
         else:
             self.sent += 1

@@ -95,4 +95,4 @@ def test_what_stops_in_control_is_named_after_its_patience(
     loop.run(0.5 * patience_s + 6.0)  # a text on streams every 5 s
     named = [text for _, text in loop.notes.texts if text.startswith("no ") and word in text]
     assert named, loop.notes.texts
-    assert named[0].endswith("any more: asking again")
+    assert named[0].endswith("any more: requesting again")

@@ -27,5 +27,7 @@ def test_a_chore_that_raises_is_told_once_and_not_done_again(
         for tick in range(3):
             chores.run(0.05 * tick)
     assert done == ["broken", "watchdog", "watchdog", "watchdog"]
-    assert [text for _, text in notes.texts] == ["internal error: accounts ended; flying on"]
+    assert [text for _, text in notes.texts] == [
+        "internal error: accounts ended; the flight continues"
+    ]
     assert len(caplog.records) == 1

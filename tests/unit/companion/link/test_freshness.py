@@ -89,15 +89,15 @@ def test_a_stream_that_stops_while_the_link_is_alive_is_told_once_and_asked_for(
     speak(wire, 3.0)
     wire.journal.texts.clear()
     speak(wire, 40.0, muted)
-    said = [text for text in wire.journal.texts if "any more: asking again" in text]
-    assert said == [f"no {muted} any more: asking again"]
+    said = [text for text in wire.journal.texts if "any more: requesting again" in text]
+    assert said == [f"no {muted} any more: requesting again"]
 
 
 def test_a_link_that_is_lost_is_not_told_stream_by_stream() -> None:
     wire = Wire().ready(OFFBOARD)
     speak(wire, 3.0)
     wire.wait(30.0)
-    assert not any("any more: asking again" in text for text in wire.journal.texts)
+    assert not any("any more: requesting again" in text for text in wire.journal.texts)
 
 
 def test_a_stream_that_comes_and_goes_does_not_fill_the_log() -> None:
@@ -105,5 +105,5 @@ def test_a_stream_that_comes_and_goes_does_not_fill_the_log() -> None:
     for _ in range(30):
         speak(wire, 0.2)
         speak(wire, 0.8, "position")
-    said = [text for text in wire.journal.texts if "any more: asking again" in text]
+    said = [text for text in wire.journal.texts if "any more: requesting again" in text]
     assert 1 <= len(said) <= 7
