@@ -88,8 +88,8 @@ class FrameSplitter:
         size = len(data)
         if is_datagram and size >= SHORTEST_V2 and data[0] == MAGIC_V2 and not self._pending:
             crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)
-            at = HEADER_LENGTH_V2 + data[1]
-            if crc_extra is not None and size == at + _TAIL_BY_FLAGS.get(data[2], -1):
+            at, tail = HEADER_LENGTH_V2 + data[1], _TAIL_BY_FLAGS.get(data[2])
+            if crc_extra is not None and tail is not None and size == at + tail:
                 crc = crc16.mcrf4xx(data[1:at] + bytes((crc_extra,)))
                 if crc == data[at] | data[at + 1] << 8:
                     self.counters.good += 1

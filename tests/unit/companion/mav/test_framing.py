@@ -141,6 +141,16 @@ def test_an_unknown_incompatibility_flag_drops_the_whole_frame(flag: int) -> Non
     assert link.counters.junk_bytes == 0
 
 
+@pytest.mark.parametrize("flag", [0x01, 0x02, 0x80])
+@pytest.mark.parametrize("frame", [heartbeat(), position(), ranging()])
+def test_a_datagram_that_ends_anywhere_in_a_flagged_frame_is_junk(frame: bytes, flag: int) -> None:
+    flagged = with_header(frame, 2, flag)
+    for end in range(1, len(flagged)):
+        link = splitter()
+        assert link.split(flagged[:end], is_datagram=True) == []
+        assert link.counters.junk_bytes == end
+
+
 def test_an_unknown_compatibility_flag_is_no_reason_to_drop() -> None:
     frame = with_header(heartbeat(), 3, 0xFF)
     assert in_datagram(frame) == [frame]
