@@ -1,13 +1,14 @@
 # Everything here works on a machine with Python 3.11 or newer, pip and make; `make help` lists it.
 
 .DEFAULT_GOAL := help
-.PHONY: help demo missions test test-all faults check dist parts deb deb-needs site clean venv-demo venv-dev venv-package
+.PHONY: help demo missions test test-all faults mutants check dist parts deb deb-needs site clean venv-demo venv-dev venv-package
 
 BIN := .venv/bin
 DEMO_ARGS ?= --speed 4
 PYTEST_ARGS ?=
 MISSION_ARGS ?= --repeat 20 --jobs 2
 FAULTS_ARGS ?=
+MUTANTS_ARGS ?= --max-children 2
 ifdef PYTHON
 export PYTHON
 endif
@@ -20,6 +21,7 @@ help:
 	@echo "make test    run the tests of every day, some minutes; one: PYTEST_ARGS='-k crossing'"
 	@echo "make test-all  run all tests, the slow ones too; campaigns are in CONTRIBUTING.md"
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
+	@echo "make mutants  change guard and codec in a thousand places, and list the changes that no test notices"
 	@echo "make check   format, lint, types and import rules"
 	@echo "make dist    sdist and wheel of both distributions, into dist/"
 	@echo "make parts   list of parts (CycloneDX), licences, known weaknesses, into dist/"
@@ -42,6 +44,11 @@ test-all: venv-dev
 
 faults: venv-dev
 	$(BIN)/python tools/faults.py --campaign ci $(FAULTS_ARGS)
+
+mutants: venv-dev
+	rm -rf mutants
+	$(BIN)/mutmut run $(MUTANTS_ARGS)
+	@$(BIN)/mutmut results
 
 check: venv-dev
 	$(BIN)/ruff format --check .
@@ -74,5 +81,5 @@ venv-demo venv-dev venv-package: venv-%:
 	@tools/release/make_venv.sh $*
 
 clean:
-	rm -rf .venv build dist site .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist mutants site .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

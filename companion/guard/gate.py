@@ -182,7 +182,8 @@ class Guard:
         at, climb_mps = previous.position_enu_m, previous.velocity_enu_mps[2]
         if self._known is None or self._known[0].allows(at[:2]):
             is_in_band = self._in_band(at[2], motion, []) == at[2]
-            previous = Guarded(at, (), (0.0, 0.0, 0.0 if is_in_band else climb_mps))
+            rest = (0.0, 0.0, 0.0 if is_in_band else climb_mps)
+            previous = Guarded(at, velocity_enu_mps=rest)
         return self.towards(at, previous, motion, dt_s)
 
     def towards(

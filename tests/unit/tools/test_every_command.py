@@ -39,7 +39,7 @@ OF_OTHERS = {
 )
 """Programs that this project does not have; their commands are read, and never run, by a test."""
 PX4S_TARGET = "px4_sitl"
-THEIR_MODULES = {"pytest", "companion", "pip", "http.server", "tools.fuzz.mutate_guard"}
+THEIR_MODULES = {"pytest", "companion", "pip", "http.server"}
 
 
 def commands_of(page: Path) -> list[list[str]]:

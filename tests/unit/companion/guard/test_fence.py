@@ -48,7 +48,7 @@ def fences(draw: st.DrawFn) -> Fence:
         ((*SQUARE[:3], (math.nan, 40.0)), 0.0, "not a finite number"),
         ((*SQUARE[:3], (0.0, math.inf)), 0.0, "not a finite number"),
         (((0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)), 0.0, "cross each other"),
-        (((0.0, 0.0), (40.0, 0.0), (80.0, 0.0)), 0.0, "encloses no area"),
+        (((0.0, 0.0), (40.0, 0.0), (80.0, 0.0)), 0.0, "^a fence encloses no area"),
         (((0.0, 0.0), (0.9, 0.0), (0.9, 0.9), (0.0, 0.9)), 0.0, "encloses no area"),
         (
             tuple((math.cos(k / 32), math.sin(k / 32)) for k in range(201)),
@@ -57,7 +57,7 @@ def fences(draw: st.DrawFn) -> Fence:
         ),
         ((*SQUARE, *SQUARE), 0.0, "touch or cross"),
         ((*SQUARE[:3], (0.0, 1e7)), 0.0, "farther than 1000 km"),
-        (SQUARE, -0.1, "must be 0 or more"),
+        (SQUARE, -0.1, "^the margin of a fence must be 0 or more$"),
         (SQUARE, math.nan, "must be 0 or more"),
         (SQUARE, 20.0, "margin of 20 m leaves nothing"),
         (SQUARE, depth_m(SQUARE, deepest_point(SQUARE)), "leaves nothing"),

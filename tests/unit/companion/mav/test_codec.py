@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import pytest
 
@@ -70,6 +71,67 @@ def test_nan_survives_the_wire() -> None:
     sent = mavlink.MAVLink_local_position_ned_message(5, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
     (message,) = MavCodec(9, 9).decode(MavCodec(1, 191).encode(sent))
     assert math.isnan(float(message.to_dict()["x"]))
+
+
+def test_a_peer_of_the_first_version_gets_frames_of_the_first_version() -> None:
+    codec = MavCodec(7, 191)
+    assert codec.encode(heartbeat(), is_mavlink1=True)[0] == 0xFE
+    text = mavlink.MAVLink_statustext_message(6, b"hello")
+    assert codec.encode(text, is_mavlink1=True)[0] == 0xFE
+    assert codec.encode(text)[0] == 0xFD
+
+
+def test_the_last_message_id_of_the_first_version_is_255() -> None:
+    last = heartbeat()
+    last.get_header().msgId = 255
+    assert MavCodec(1, 191).encode(last, is_mavlink1=True)[5] == 255
+
+
+class Marking:
+    """Signing that refuses everything, and marks what is sent."""
+
+    def accepts(self, frame: bytes) -> bool:
+        return not frame
+
+    def sign(self, frame: bytes, crc_extra_by_id: Mapping[int, int]) -> bytes:
+        assert 0 in crc_extra_by_id
+        return frame + b"signed"
+
+
+def test_what_the_first_version_cannot_carry_is_our_mistake_and_costs_no_number() -> None:
+    farther = heartbeat()
+    farther.get_header().msgId = 256
+    signing = MavCodec(1, 191, Marking())
+    for codec, message in ((MavCodec(1, 191), farther), (signing, heartbeat())):
+        with pytest.raises(LocalProtocolError, match=f"^{message.get_type()} cannot be sent in"):
+            codec.encode(message, is_mavlink1=True)
+        assert codec.encode(heartbeat())[4] == 0
+
+
+def test_an_unsigned_copy_goes_on_with_identity_and_sequence_number() -> None:
+    codec = MavCodec(7, 191, Marking())
+    for _ in range(3):
+        assert codec.encode(heartbeat()).endswith(b"signed")
+    copy = codec.unsigned_copy()
+    assert copy.encode(heartbeat()) == codec.encode(heartbeat()).removesuffix(b"signed")
+
+
+def test_every_frame_that_signing_refuses_is_counted() -> None:
+    codec = MavCodec(1, 191, Marking())
+    for count in (1, 2):
+        assert codec.decode(MavCodec(1, 1).encode(heartbeat())) == []
+        assert codec.unproved == count
+
+
+def test_every_frame_that_cannot_be_decoded_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("as pymavlink does for some payloads")
+
+    monkeypatch.setattr(mavlink.MAVLink, "decode", fail)
+    codec, text = MavCodec(1, 191), mavlink.MAVLink_statustext_message(6, b"hello")
+    for count in (1, 2):
+        assert codec.decode(MavCodec(1, 1).encode(text)) == []
+        assert codec.undecodable == count
 
 
 def test_text_that_is_no_ascii_is_counted_or_read_but_never_raised() -> None:

@@ -71,6 +71,35 @@ def test_a_whole_frame_is_found(frame: bytes) -> None:
     assert in_datagram(frame) == [frame]
 
 
+class WithoutSearch(FrameSplitter):
+    """A splitter that has only its quick way."""
+
+    def _split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
+        raise AssertionError(f"searched {data.hex()}, a datagram: {is_datagram}")
+
+
+def invented(payload: bytes, number: int, crc_extra: int) -> bytes:
+    """A frame of MAVLink 2 of a message that no dialect has."""
+    head = bytes((MAGIC_V2, len(payload), 0, 0, 0, 1, 1)) + number.to_bytes(3, "little") + payload
+    return head + frame_crc(head, crc_extra).to_bytes(2, "little")
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01", bytes(range(1, 256))])
+def test_a_datagram_of_one_good_frame_is_found_without_a_search(payload: bytes) -> None:
+    number, crc_extra = 0x123456, 77
+    frame, link = invented(payload, number, crc_extra), WithoutSearch({number: crc_extra})
+    signed_frame = bytearray(frame)
+    signed_frame[2] = 0x01
+    signed_frame[-2:] = frame_crc(bytes(signed_frame), crc_extra).to_bytes(2, "little")
+    compatible = bytearray(frame)
+    compatible[3] = 0xFF
+    compatible[-2:] = frame_crc(bytes(compatible), crc_extra).to_bytes(2, "little")
+    whole = [frame, bytes(signed_frame) + bytes(13), bytes(compatible)]
+    for count, each in enumerate(whole, 1):
+        assert link.split(each, is_datagram=True) == [each]
+        assert link.counters.good == count
+
+
 def test_a_datagram_leaves_nothing_of_what_was_unfinished_before_it() -> None:
     frames, data = splitter(), heartbeat()
     assert frames.split(data[:-4], is_datagram=False) == []
@@ -118,26 +147,29 @@ def test_any_flipped_bit_is_refused(frame: bytes) -> None:
         assert in_datagram(bytes(flipped)) == []
 
 
-def test_a_bad_crc_is_counted() -> None:
+def test_every_bad_crc_is_counted() -> None:
     link = splitter()
-    assert link.split(heartbeat()[:-1] + b"\x00", is_datagram=True) == []
-    assert link.counters.bad_crc == 1
+    for count in (1, 2):
+        assert link.split(heartbeat()[:-1] + b"\x00", is_datagram=True) == []
+        assert link.counters.bad_crc == count
 
 
 def test_an_unknown_message_is_counted_and_the_next_one_understood() -> None:
     unknown = bytearray(heartbeat())
     unknown[7:10] = (54321).to_bytes(3, "little")
     link = splitter()
-    assert link.split(bytes(unknown) + position(), is_datagram=True) == [position()]
-    assert link.counters.unknown == 1
+    for count in (1, 2):
+        assert link.split(bytes(unknown) + position(), is_datagram=True) == [position()]
+        assert link.counters.unknown == count
 
 
 @pytest.mark.parametrize("flag", [0x02, 0x80, 0x7E])
 def test_an_unknown_incompatibility_flag_drops_the_whole_frame(flag: int) -> None:
     link = splitter()
     data = with_header(heartbeat(), 2, flag) + position()
-    assert link.split(data, is_datagram=True) == [position()]
-    assert link.counters.incompatible == 1
+    for count in (1, 2):
+        assert link.split(data, is_datagram=True) == [position()]
+        assert link.counters.incompatible == count
     assert link.counters.junk_bytes == 0
 
 
@@ -394,6 +426,13 @@ def test_a_known_message_with_a_wrong_crc_is_no_unknown_one() -> None:
     assert link.take_unknown() == []
 
 
+def test_an_unknown_message_behind_a_known_one_with_a_wrong_crc_is_kept() -> None:
+    link = keeping()
+    broken = heartbeat()[:-1] + bytes((heartbeat()[-1] ^ 1,))
+    assert link.split(broken + unknown(), is_datagram=True) == []
+    assert link.take_unknown() == [unknown()]
+
+
 def test_a_long_length_inside_an_unknown_message_holds_nothing_up() -> None:
     link = keeping()
     tricky = with_payload(bytes((MAGIC_V2, 255)) + bytes(8))
@@ -431,6 +470,12 @@ def test_unknown_messages_are_not_kept_unless_wanted() -> None:
 @pytest.mark.parametrize(("frame", "at"), [(heartbeat(), 4), (heartbeat_v1(), 2)])
 def test_the_sequence_number_is_read_from_either_header(frame: bytes, at: int) -> None:
     assert header_of(with_header(frame, at, 201))[0] == 201
+
+
+def test_system_and_component_of_a_header_are_not_the_same() -> None:
+    sent = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
+    for is_mavlink1 in (False, True):
+        assert header_of(MavCodec(7, 191).encode(sent, is_mavlink1=is_mavlink1)) == (0, (7, 191), 0)
 
 
 @pytest.mark.parametrize("frame", [heartbeat(), heartbeat_v1(), unknown(number=0x01_02_03)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.errors import LocalProtocolError
-from companion.mav.codec import MavCodec, pack_plain, unpack_plain
+from companion.mav.codec import MavCodec, frame_crc, pack_plain, unpack_plain
 from companion.mav.dialect import Message, mavlink
 
 ALL = sorted(mavlink.mavlink_map)
@@ -88,6 +88,62 @@ def heartbeat() -> bytes:
     return frame
 
 
+def test_of_a_payload_of_zeros_one_byte_is_sent_and_none_is_needed() -> None:
+    message = mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    frame = pack_plain(message, 5, 7, 9)
+    assert frame == by_pymavlink(message, 5)
+    assert frame[1] == 1
+    empty = bytes((frame[0], 0)) + frame[2:10]
+    empty += struct.pack("<H", frame_crc(empty, message.crc_extra))
+    read = unpack_plain(empty)
+    assert read is not None
+    assert read.to_dict() == message.to_dict()
+
+
+def test_compatibility_flags_change_nothing() -> None:
+    frame = heartbeat()
+    flagged = frame[:3] + b"\xff" + frame[4:-2]
+    crc_extra = mavlink.MAVLink_heartbeat_message.crc_extra
+    message = unpack_plain(flagged + struct.pack("<H", frame_crc(flagged, crc_extra)))
+    assert message is not None
+    assert message.get_header().compat_flags == 0xFF
+
+
+class Farther(mavlink.MAVLink_heartbeat_message):
+    """A message whose id needs all three bytes."""
+
+    id = 0x123456
+
+    def __init__(self) -> None:
+        super().__init__(2, 12, 0, 7, 4, 3)
+        self.get_header().msgId = self.id
+
+
+def test_a_message_id_has_three_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(mavlink.mavlink_map, Farther.id, Farther)
+    frame = pack_plain(Farther(), 0, 1, 1)
+    assert frame is not None
+    assert frame[7:10] == bytes((0x56, 0x34, 0x12))
+    read = unpack_plain(frame)
+    assert read is not None
+    assert (read.get_msgId(), read.to_dict()) == (Farther.id, Farther().to_dict())
+
+
+def test_plain_messages_are_packed_and_read_without_pymavlink(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("by pymavlink's general path")
+
+    monkeypatch.setattr(mavlink.MAVLink_message, "pack", refuse)
+    monkeypatch.setattr(mavlink.MAVLink_heartbeat_message, "pack", refuse)
+    monkeypatch.setattr(mavlink.MAVLink, "decode", refuse)
+    codec = MavCodec(1, 1)
+    sent = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
+    (read,) = codec.decode(codec.encode(sent))
+    assert read.to_dict() == sent.to_dict()
+
+
 def test_damaged_frames_are_not_read() -> None:
     frame = heartbeat()
     assert unpack_plain(frame) is not None
@@ -105,8 +161,6 @@ def test_signed_and_old_frames_are_left_to_pymavlink() -> None:
 
 
 def test_a_frame_of_a_newer_dialect_may_be_longer() -> None:
-    from companion.mav.codec import frame_crc
-
     frame = heartbeat()
     longer = bytes((frame[0], frame[1] + 2)) + frame[2:-2] + b"\x01\x02"
     crc_extra = mavlink.MAVLink_heartbeat_message.crc_extra
