@@ -99,7 +99,8 @@ def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses of a belief of this age, with inflated covariances."""
-    drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, as far as a local frame drifts meanwhile
+    # sigma sqrt(2 / tau) of the process in `shared_errors`, for a sigma of 0.9 m
+    drift_m_per_sqrt_s = 0.1
     walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
     for place in belief.places:

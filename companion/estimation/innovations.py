@@ -54,10 +54,11 @@ from companion.kernel import Matrix
 
 GATE_SIGMAS = 6.0
 """Innovation or residual, in sigma, beyond which a short range or a bearing is a gross error:
-recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it."""
+recorded Wi-Fi and UWB walks and flights in the shadow of buildings stay within it. With 3, one of
+16 recorded targets is outside R95, with 12 one R95 is 1.6 times as large."""
 LONG_SIGMAS = 25.0
 """Innovation, in sigma, beyond which a range is too long even for a reflection: those occasionally
-reach 20 of the inflated standard deviations."""
+reach 20 of the inflated standard deviations. With 12 or 50 no recorded walk changes."""
 
 
 class Gate(NamedTuple):
@@ -200,20 +201,17 @@ def log_likelihood(
 
 
 NOISE_FORGETTING = 1.0 - 1.0 / 300.0
-"""Forgetting factor of the noise monitor: a memory of 300 measurements.
-
-Chosen: a longer one knows the noise better, and follows it later.
+"""Forgetting factor of the noise monitor: a memory of 300 measurements. A longer one knows the
+noise better, and follows it later: with 150 R95 of recorded walks changes by up to 3 %, with 600 or
+all of them by less than 1 %.
 """
 PRIOR_COUNT = 8.0
-"""Weight of the monitor's prior, in measurements.
-
-Chosen: less lets the first innovations decide, more delays what they show.
+"""Weight of the monitor's prior, in measurements: less lets the first innovations decide, more
+delays what they show. With 4, R95 of recorded walks changes by less than 1 %.
 """
 MAX_INFLATION = 400.0
-"""Upper limit of the inflation of a variance: 20 times the thermal sigma.
-
-Chosen: more would let a wrong estimate explain anything, less claims too much information where
-most paths are reflected.
+"""Upper limit of the inflation of a variance: 20 times the thermal sigma. A value that is stuck
+would have any; without the limit no recorded walk changes.
 """
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""

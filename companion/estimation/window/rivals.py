@@ -51,7 +51,8 @@ from companion.kernel import Matrix, Vector
 IMPROBABLE_LOG_RATIO = math.log(1e-4)
 """Log odds to the best optimum below which one is dropped.
 
-Chosen: those that are kept cost a covariance each, a dropped one returns by a fresh start only.
+Those that are kept cost a covariance each, a dropped one returns by a fresh start only. With 1e-2
+or 1e-8 no R95 of recorded walks changes, nor with 1e-14 for those that a measurement leaves.
 """
 
 
