@@ -229,9 +229,6 @@ class TrackIntegrity:
         self.is_lost = False
         """True if hardly any measurement agrees with the estimate."""
         self._contradiction = Contradiction()
-        self._detour_since_s: float | None = None
-        """Start of the period in which every measurement came by a detour; None: the newest did
-        not."""
         self._nis = NisWindow()
         self._inflation_at_loss: Inflation | None = None
         """Measured inflation when agreement was lost; None: it is not lost."""
@@ -256,32 +253,11 @@ class TrackIntegrity:
     def update(
         self, at_s: float, report: UpdateReport, gate: Gate, gate_inflation: Inflation
     ) -> bool:
-        """Count how a measurement agrees; return True if the track should be discarded.
-
-        A range that is too long indicates a reflection, and its bearing is reflected as well. If
-        the bearing is off, too, the signal came around an edge, on a detour. That happens in a
-        shadow, and only flying out of it shows which is right. A range that is too long for any
-        reflection is no detour, nor does the prediction of a vague estimate show one.
-        """
+        """Count how a measurement agrees; return True if the track should be discarded."""
         ranged, borne, _, *powers = report.modalities
         measured = ranged is not None, borne is not None, powers not in ([], [None])
         self.contact = self.contact.after(at_s, measured, gate)
         is_reflected = ranged is not None and ranged.weight < 1.0 and ranged.innovation > 0.0
-        is_detour = is_reflected and gate.agrees_in_range and not gate.agrees_in_bearing
-        # chosen: a vaguer prediction is no evidence against a bearing; and what contradicts for
-        # longer than a shadow usually lasts may be right
-        confident_rad, longest_s = math.radians(5.0), 15.0
-        if not (
-            self.is_proven
-            and is_detour
-            and borne is not None
-            and borne.noise_sigma * math.sqrt(borne.prior_share) <= confident_rad
-        ):
-            self._detour_since_s = None
-        elif self._detour_since_s is None:
-            self._detour_since_s = at_s
-        if self._detour_since_s is not None and at_s - self._detour_since_s < longest_s:
-            return False
         is_track_lost = self.note_agreement(at_s, agrees=gate.agrees)
         self._contradiction = self._contradiction.after(report, gate_inflation, gate)
         is_out_of_band = not is_reflected and self._nis.add(report, gate_inflation, at_s)

@@ -26,23 +26,6 @@ def _noted(integrity: TrackIntegrity, time_s: float, u: float) -> bool:
     return integrity.update(time_s, report, gate, integrity.gate_inflation(NO_INFLATION))
 
 
-def _shadowed(
-    integrity: TrackIntegrity, start_s: float, seconds: float, own_rad: float = 0.02
-) -> list[bool]:
-    """Ten a second from around an edge: 8 m too long, and from 40 degrees beside."""
-    given_up = []
-    for step in range(round(10.0 * seconds)):
-        time_s = start_s + 0.1 * step
-        range_ = ModalityReport(8.0, 1.0, 1.0, 8.0, 0.2, 0.0)
-        u = 0.7 / 0.04
-        bearing = ModalityReport(0.7, 0.04, 0.04, u, 1.0 / u, (own_rad / 0.04) ** 2)
-        report = UpdateReport(STATE, (range_, bearing, None), u * u, True)
-        gate = Gate(passes_bearing=False, agrees_in_bearing=False)
-        gate_inflation = integrity.gate_inflation(NO_INFLATION)
-        given_up.append(integrity.update(time_s, report, gate, gate_inflation))
-    return given_up
-
-
 def _flown(integrity: TrackIntegrity, count: int, start_s: float, u: float) -> list[bool]:
     return [_noted(integrity, start_s + 0.1 * step, u) for step in range(count)]
 
@@ -83,29 +66,6 @@ def test_a_burst_that_nothing_agrees_with_is_survived() -> None:
     assert integrity.objection(14.0) is Objection.CONTRADICTED
     assert not any(_flown(integrity, 40, 14.0, 0.5))
     assert integrity.objection(18.0) is None
-
-
-def test_a_shadow_is_flown_through() -> None:
-    integrity = TrackIntegrity()
-    _flown(integrity, 100, 0.0, 0.5)
-    assert not any(_shadowed(integrity, 10.0, 14.9))
-    assert integrity.objection(24.9) is None
-    _flown(integrity, 1, 25.0, 0.5)
-    assert not any(_shadowed(integrity, 25.1, 14.9))
-
-
-def test_a_shadow_that_does_not_end_is_none() -> None:
-    integrity = TrackIntegrity()
-    _flown(integrity, 100, 0.0, 0.5)
-    given_up = _shadowed(integrity, 10.0, 30.0)
-    assert 15.0 < 0.1 * given_up.index(True) <= 25.0
-
-
-def test_what_a_vague_estimate_foretells_makes_no_shadow() -> None:
-    integrity = TrackIntegrity()
-    _flown(integrity, 100, 0.0, 0.5)
-    given_up = _shadowed(integrity, 10.0, 10.0, own_rad=0.1)
-    assert 0.1 * given_up.index(True) <= 8.0
 
 
 def test_disagreement_does_not_excuse_itself_by_the_noise_that_it_shows() -> None:
