@@ -142,11 +142,8 @@ class Contradiction:
         return Contradiction(bearings, side, *counts, is_conclusive)
 
 
-NIS_WINDOW_COUNT = 30
-"""Fewest measurements in the window of the NIS.
-
-Chosen: 3 s of a radio of 10 Hz. More find a divergence later, of fewer the band is wider.
-"""
+NIS_WINDOW_COUNT = PROVEN_COUNT
+"""Fewest measurements in the window of the NIS, as many as prove an estimate."""
 RESTART_MEMORY_S = 60.0
 """Time in which resets of the track are counted, s.
 

@@ -121,7 +121,7 @@ class AntennaCheck:
         is_no_line = bool(np.any(np.abs(printed_rad[is_borne]) > 0.5 * math.pi))
         if is_no_line and before == "line":
             self._accept("planar", is_identified=False)
-        # chosen: an identified antenna costs three solutions at every fourth one only
+        # an identified antenna costs three solutions at every fourth one only
         is_due = not self.is_identified or self._solutions % 4 == 0
         if is_due and np.count_nonzero(is_borne) >= MIN_DIRECTIONS:
             kinds = [kind for kind in CANDIDATES if kind != "line" or not is_no_line]
@@ -130,9 +130,7 @@ class AntennaCheck:
             if direct is not None:
                 found = yield from self._fits.steps(kinds, direct, mean, inflation)
             if self.hypothesis in found:
-                has_ranges = not np.isnan(rows[:, VALUES + RANGE]).all()
-                # chosen: without ranges each antenna finds a position that suits it
-                self._judge(found, (1.0 if has_ranges else 4.0) * DECISION_LOG_ODDS)
+                self._judge(found)
         return self.hypothesis != before
 
     @Stepwise
@@ -145,18 +143,18 @@ class AntennaCheck:
             found |= {} if each is None else {kind: each}
         return found
 
-    def _judge(self, found: dict[Candidate, AntennaFit], log_odds: float) -> None:
+    def _judge(self, found: dict[Candidate, AntennaFit]) -> None:
         """Accept the best candidate if it is significantly better than every other."""
         best = min(found, key=lambda kind: found[kind].cost)
         others = [found[kind] for kind in found if kind != best]
         is_identified = bool(others) and all(
-            is_significant(each, found[best], log_odds) for each in others
+            is_significant(each, found[best], DECISION_LOG_ODDS) for each in others
         )
         if best == "planar" and "azimuth" in found:
             is_identified &= grows_with_steepness(found["azimuth"])
         gain = min((other.cost for other in others), default=0.0) - found[best].cost
         if best != self.hypothesis:
-            if not is_identified or gain < self._azimuth_gain + log_odds:
+            if not is_identified or gain < self._azimuth_gain + DECISION_LOG_ODDS:
                 self.is_identified = self._azimuth_gain > 0.0
                 return
             self._accept(best, is_identified=True)
