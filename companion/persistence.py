@@ -239,7 +239,7 @@ class ParameterKeeper:
         self._path = path
         self._writer: BackgroundReplacer | None = None
         for problem in tunables.restore(self._load()):
-            log.warning("%s: %s; going on without", path, problem)
+            log.warning("%s: %s; continuing without", path, problem)
         self._kept = dict(tunables.changed)
         if self._kept:
             words = ", ".join(f"{name} {value:g}" for name, value in self._kept.items())
@@ -274,7 +274,7 @@ class ParameterKeeper:
         except OSError as error:
             log.warning("%s: cannot be read (%s)", self._path, error.strerror)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            log.warning("%s: no parameters (%s); going on without", self._path, error)
+            log.warning("%s: no parameters (%s); continuing without", self._path, error)
         return {}
 
 

@@ -144,7 +144,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
     except CompanionError as error:
         if not is_restart:
             raise
-        log.error("%s; resuming a flight, so going on without any log", error)
+        log.error("%s; resuming a flight, so continuing without a log", error)
         return BlackBox()
 
 
@@ -209,7 +209,7 @@ def link_name(link: Transport) -> str:
 
 
 def is_handed_over(endpoint: CompanionEndpoint) -> bool:
-    """Return whether the flight is over and the vehicle no longer obeys us.
+    """Return True if the flight is over and the vehicle no longer obeys us.
 
     Between two control ticks an autopilot that lands may have ended the phase that follows.
     """

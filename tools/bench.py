@@ -36,12 +36,20 @@ def parsed() -> argparse.Namespace:
     parser = OneLineParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     filters = commands.add_parser("filters", help="filter updates")
-    filters.add_argument("--rounds", type=positive, default=ROUNDS, help="medians over so many")
+    filters.add_argument(
+        "--rounds", type=positive, default=ROUNDS, help="number of them for the medians"
+    )
     tick = commands.add_parser("tick", help="the control tick, and the longest wait of a setpoint")
-    tick.add_argument("--seconds", type=positive, default=60, help="of flight in each case")
-    tick.add_argument("--emitters", type=positive, nargs="+", default=EMITTERS, help="so many each")
+    tick.add_argument(
+        "--seconds", type=positive, default=60, help="duration of the flight in each case"
+    )
+    tick.add_argument(
+        "--emitters", type=positive, nargs="+", default=EMITTERS, help="number of them in a case"
+    )
     tick.add_argument("--only", choices=tuple(LIMIT_MS), help="kernels of this kind")
-    tick.add_argument("--beside", type=Path, metavar="CHECKOUT", help="of an earlier release")
+    tick.add_argument(
+        "--beside", type=Path, metavar="CHECKOUT", help="earlier release to compare with"
+    )
     return parser.parse_args()
 
 

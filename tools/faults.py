@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--backend", default=LOCAL, help="local, or dask://HOST:PORT")
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
-    parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its story")
+    parser.add_argument("--replay", metavar="PART:SEED", help="one trial, with its log")
     arguments = parser.parse_args(argv)
     logging.disable(logging.CRITICAL)  # the texts of flights are in their stories
     try:
@@ -90,7 +90,7 @@ def campaign(trials: list[Trial], arguments: argparse.Namespace, facts: dict[str
 
 
 def replay(trial: Trial) -> int:
-    """Run one trial again, print its story and its figures; return the exit code."""
+    """Run one trial again, print its log and its figures; return the exit code."""
     outcome = runner.run_one(trial)
     print(*outcome.story, sep="\n")
     for name, value in sorted({**outcome.most, **outcome.least}.items()):

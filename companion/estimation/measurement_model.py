@@ -103,7 +103,7 @@ class RangingModel(NamedTuple):
     range_share: float = 1.0
     """Weight of a range in the window's objective, as a share of an independent one."""
     direction_share: float = 1.0
-    """The same weight of a direction."""
+    """Weight of a direction, as a share of an independent one."""
     power_index: int = ABSENT
     """Index of P0 in the state, which the exponent follows, or `ABSENT`."""
 

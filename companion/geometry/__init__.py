@@ -1,1 +1,1 @@
-"""Coordinates, polygons, free space and ways through it; pure functions."""
+"""Coordinates, polygons, free space and paths through it; pure functions."""

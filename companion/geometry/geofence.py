@@ -127,7 +127,7 @@ def area_problem(area: GeoArea) -> str | None:
     if len(area.corners_deg) < 3:
         return f"has {len(area.corners_deg)} corners, at least 3 make a polygon"
     if len(area.corners_deg) > MAX_CORNERS:
-        return f"has {len(area.corners_deg)} corners, at most {MAX_CORNERS} are looked at in time"
+        return f"has {len(area.corners_deg)} corners, at most {MAX_CORNERS} can be checked in time"
     origin = LocalOrigin(*area.corners_deg[0], 0.0)
     polygon = _local_area(area, origin, is_inside=True)
     reach_m = max(math.hypot(*corner) for corner in polygon)
@@ -154,13 +154,13 @@ def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
     if len(inclusions) > 1:
         raise ValueError(
             f"{inclusions[1].path}: a second inclusion area; autopilots do not agree on what "
-            "several mean, so give one, and what is not to be flown in as exclusions"
+            "several mean, so give one, and areas to avoid as exclusions"
         )
     corners = sum(CIRCLE_CORNERS if a.area.radius_m else len(a.area.corners_deg) for a in areas)
     if corners > MAX_CORNERS:
         raise ValueError(
             f"{corners} corners in all (a circle counts as {CIRCLE_CORNERS}); at most "
-            f"{MAX_CORNERS} are looked at in time"
+            f"{MAX_CORNERS} can be checked in time"
         )
     exclusions = tuple(named.area for named in areas if not named.is_inclusion)
     return GeoFence(inclusions[0].area, exclusions)

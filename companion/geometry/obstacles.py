@@ -221,7 +221,7 @@ def check_corners(polygons: Iterable[Polygon]) -> None:
     if count > MAX_CORNERS:
         raise ValueError(
             f"{count} corners in all, with those of keep_out_enu_m; at most {MAX_CORNERS} are "
-            "looked at in time"
+            "checked in time"
         )
 
 

@@ -14,8 +14,8 @@ end of its way. Every setpoint that moves satisfies
 A step that violates one of these is not made: the setpoint stays where it was, which was safe. Each
 setpoint is therefore safe to be the last one that is ever sent. The stream restarts at the vehicle,
 at rest, in the band, when its setpoint cannot be reached: its position jumped, it is too fast to
-stop at a border, or the way is not free. From outside, or from the margin, the setpoint is walked
-in on the shortest way, no farther out than the vehicle.
+stop at a border, or the path is not free. From outside, or from the margin, the setpoint is moved
+in on the shortest path, no farther out than the vehicle.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class Guard:
         Raises `ValueError` if vehicle or home has no finite position, so that no setpoint is safe.
         """
         if not _are_finite(motion.position_enu_m, motion.home_enu_m):
-            raise ValueError("the place of the vehicle or of home is not a number")
+            raise ValueError("the position of vehicle or home is not a number")
         reasons = [GuardReason.NO_FENCE] if self._known is None else []
         up_m = self._in_band(motion.position_enu_m[2], motion, reasons)
         if self._known is not None and not self._known[1].allows(motion.position_enu_m[:2]):
@@ -174,7 +174,7 @@ class Guard:
         Raises `ValueError` if the position is not finite.
         """
         if not _are_finite(place_enu_m):
-            raise ValueError("the place to stand at is not a number")
+            raise ValueError("the position to hold is not a number")
         return Guarded(place_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
@@ -274,7 +274,7 @@ class Guard:
     def _walked(
         self, why: tuple[GuardReason, ...], step: _Step, goal: Point, fence: Fence
     ) -> Guarded:
-        """Return the next setpoint on the straight way to `goal`; the vehicle if it went astray."""
+        """Return the next setpoint straight on to `goal`; the vehicle if it went astray."""
         left_m = math.dist(step.start, goal)
         velocity = self._velocity(step, goal, fence)
         place = ahead(step.start, velocity, step.dt_s)

@@ -423,7 +423,9 @@ class Fencing:
         theirs = self._autopilots()
         if theirs is None:
             if plan.policy is FencePolicy.REQUIRE and not self.is_in_control:
-                raise ValueError("the autopilot has no fence, and limits.autopilot_fence wants one")
+                raise ValueError(
+                    "the autopilot has no fence, and limits.autopilot_fence requires one"
+                )
             self.note = "autopilot has no fence: only the guard keeps ours"
             return
         differs = self._difference(theirs)

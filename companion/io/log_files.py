@@ -128,7 +128,7 @@ def _end_of_frame(data: bytes, start: int) -> int | None:
 
 
 def _is_proved(data: bytes, start: int) -> bool:
-    """Return whether a frame of a known message begins at `start`."""
+    """Return True if a frame of a known message begins at `start`."""
     end = _end_of_frame(data, start)
     return end is not None and message_id(data[start:end]) in CRC_EXTRA_BY_ID
 
@@ -393,7 +393,7 @@ def event_of(value: Input) -> events.Event:
             try:
                 memory, (age_s,) = decode_memory(data[_AGE.size :]), _AGE.unpack_from(data)
             except (CheckpointError, struct.error) as error:
-                raise ConfigError(f"the memory that was taken up at {now_s} s: {error}") from error
+                raise ConfigError(f"the memory restored at {now_s} s: {error}") from error
             return events.MemoryRecalled(now_s, memory, age_s)
     return events.StopRequested(now_s)
 

@@ -278,7 +278,7 @@ class SigningStore:
         slots = [slot for content in contents if (slot := _decode_slot(content)) is not None]
         if contents and not slots:
             raise ConfigError(
-                f"{self.paths[0]} and {self.paths[1].name}: what signing remembers cannot be read; "
+                f"{self.paths[0]} and {self.paths[1].name}: the signing timestamps cannot be read; "
                 "recorded frames might come back: make a new key, or delete both"
             )
         own = [slot for slot in slots if slot.key == self._key_name]

@@ -46,9 +46,9 @@ MOST_ADDRESSES = 8
 PEER_SILENCE_S = 3.0
 """Silence of the autopilot before the same ids are accepted from a new address."""
 SURE_SILENCE_S = 0.5
-"""The same for signed frames, and for frames that continue the sequence, as behind a NAT that binds
-another port: long enough that two paths to one autopilot do not alternate, shorter than the second
-without setpoints after which PX4 leaves OFFBOARD."""
+"""That silence for signed frames, and for frames that continue the sequence, as behind a NAT that
+binds another port: long enough that two paths to one autopilot do not alternate, shorter than the
+second without setpoints after which PX4 leaves OFFBOARD."""
 PROOF_PERIOD_S = 0.5
 """Interval of requests to an address for evidence of its vehicle."""
 

@@ -95,15 +95,15 @@ class RadioStage:
         self.received = 0
         """Number of bytes so far."""
         self._first = b""
-        """The first of them."""
+        """First bytes of the stream, which are shown if nothing is understood."""
         self.received_s: float | None = None
-        """Arrival of the latest ones."""
+        """Arrival time of the latest bytes."""
         self.lost = 0
         """Number of losses of the line."""
         self.measured = 0
         """Number of measurements so far."""
         self.age_s: float | None = None
-        """Age of the latest one on arrival."""
+        """Age of the latest measurement on arrival."""
         self.refused: Counter[str] = Counter()
         self.newest: dict[int, RangingMeasurement] = {}
         """Latest measurement of each emitter."""

@@ -3,8 +3,8 @@
 Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
 pattern over the whole area, lanes over connected cells above a level of the remaining density,
 along and across, an expanding square about the densest of them, and a sector search about the only
-one. The value of a candidate is the greatest rate of success per second of its beginnings, way to
-it included:
+one. The value of a candidate is the greatest rate of success per second of its beginnings, the
+flight to it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
 
@@ -74,7 +74,7 @@ class CandidateLegs:
     rate: float = 0.0
     """Greatest rate of success so far, 1/m."""
     first: tuple[float, float, str] = (0.0, 0.0, "")
-    """Gain, length and place of the first leg with the way to it."""
+    """Gain, length and place of the first leg with the flight to it."""
 
 
 @dataclass(frozen=True, slots=True)

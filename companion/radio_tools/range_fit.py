@@ -298,9 +298,9 @@ def is_scale_observable(distances_m: Vector, sigma_m: float) -> bool:
 def _noise(
     errors: Vector, residuals: Vector, mixture: RangeMixture, seen: Seen, labels: Labels
 ) -> tuple[Figure, Figure]:
-    """Return the scatter on the spot, and the noise of any place, by mirrored residuals.
+    """Return the scatter while standing, and the noise of any place, by mirrored residuals.
 
-    For the second every metre of the way has the same weight, however long the vehicle was there.
+    For the second every metre of the path has the same weight, however long the vehicle was there.
     """
     standing = seen.speed_mps < LEAST_SPEED_MPS
     within = errors - mixture.means_m[labels]

@@ -36,7 +36,7 @@ from companion.radio_tools.range_fit import (
 
 MOST_LAG_S = 2.0
 SCAN_S = 2.5
-"""Scanned beyond the plausible lags, so that one at the edge is recognised as none."""
+"""Margin scanned beyond the plausible lags, so that a lag at the edge is recognised as none."""
 SCAN_STEP_S = 0.1
 LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3

@@ -271,7 +271,7 @@ class MapOfReplay:
         began_s = time.monotonic()
         try:
             while True:
-                # The page gets its pictures by the flight's clock, which therefore goes on.
+                # The page gets its pictures by the flight's clock, which therefore continues.
                 self._view.show(endpoint, ended_s, ended_s + time.monotonic() - began_s)
                 time.sleep(REFRESH_S)
         except KeyboardInterrupt:

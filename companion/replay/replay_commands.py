@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = requested_settings(arguments)
     if arguments.file.suffix.lower() == ".csv":
         if arguments.speed is not None:
-            raise ConfigError("--speed: a walk is replayed as fast as it goes; leave it out")
+            raise ConfigError("--speed: a walk is replayed as fast as possible; leave it out")
         if settings is not None:
             raise ConfigError("--web: a walk has no map; leave it out")
         return _replay_walk(arguments, config or CompanionConfig())

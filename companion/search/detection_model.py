@@ -157,7 +157,7 @@ class DetectionModel(DetectionParams, frozen=True):
 
 
 def _ways_through(wall: Wall, centres_enu_m: Floats, sensor_m: PositionEnu) -> NDArray[np.int64]:
-    """(cells,) sides and roofs that the straight way from a cell to the sensor crosses."""
+    """(cells,) sides and roofs that the straight path from a cell to the sensor crosses."""
     share = 1.0 if sensor_m[2] <= wall.height_m else wall.height_m / sensor_m[2]
     ends = centres_enu_m + share * (np.array(sensor_m[:2]) - centres_enu_m)
     count = np.zeros(len(centres_enu_m), dtype=np.int64)
@@ -169,7 +169,7 @@ def _ways_through(wall: Wall, centres_enu_m: Floats, sensor_m: PositionEnu) -> N
 
 
 def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """(n,) True where the way from start to end crosses the edge a b."""
+    """(n,) True where the path from start to end crosses the edge a b."""
 
     def sides(points: Floats) -> Floats:
         """Return a number for each point, (n,), positive to the left of the edge."""

@@ -291,7 +291,7 @@ def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]
         except (OSError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
             raise CompanionError(
-                f"{address}: {reason}; what came before is kept, so run it again to go on"
+                f"{address}: {reason}; what came before is kept, so run it again to continue"
             ) from error
         if len(picture) > MOST_BYTES:
             raise CompanionError(f"{address}: more than {MOST_BYTES} bytes, which is no map tile")

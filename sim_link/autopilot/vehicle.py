@@ -94,7 +94,7 @@ class SimVehicle:
 
     @property
     def stamp_s(self) -> float:
-        """The same by its own clock."""
+        """Seconds since boot by its own clock."""
         return self.clock.read_s(self.aircraft.time_s)
 
     @property

@@ -43,7 +43,7 @@ def dist_line(
 
 
 class Pans(Emulator):
-    """A DWM1001 tag whose shell prints `lec` lines, as it was left; `lec` stops them, and starts.
+    """A DWM1001 tag whose shell prints `lec` lines; the command `lec` switches them off and on.
 
     Without an answering anchor no line is printed.
     """

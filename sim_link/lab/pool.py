@@ -63,7 +63,7 @@ ROOT, PACKAGES = (
 )
 """Sources that results depend on; the last two exist in a checkout only."""
 LIBRARIES = ("numpy", "scipy", "numba", "filterpy")
-"""Another version of these may round differently."""
+"""Libraries of which another version may round differently."""
 
 
 class WorkerLostError(CompanionError):

@@ -8,7 +8,7 @@ bend. In the shadow of an obstacle every path is obstructed, and both have two p
     bend   = pull_share * (direction of the detour - direction of the emitter) + bias,  bias normal
 
 The first follows from the place alone (`line_of_sight`). The second is a first-order Gauss-Markov
-process over the way that the sensor moves between shadowed measurements, correlation
+process over the distance that the sensor moves between shadowed measurements, correlation
 exp(-distance / L) (M. Gudmundson, Electronics Letters 27, 1991). An exponential variable is half
 the squared length of a pair of standard normals, which the uniform and the exponential number of a
 draw are in polar coordinates (G. E. P. Box, M. E. Muller, 1958): that pair is the process, with

@@ -3,11 +3,11 @@
 Theory of operation. `RadioChannel` is the paper's channel; every part that is added here is off by
 default, and draws from a generator of its own.
 
-Errors are spatially correlated. Whether an open path is obstructed, its excess and its bend,
-the direction of a gross error and the shadowing of the signal are first-order Gauss-Markov over the
-way of the sensor (M. Gudmundson, Electronics Letters 27, 1991), as in the shadows of `environment`:
-the excess as the squared length of a pair, obstruction and gross errors as a standard normal that
-lies below the quantile of their share.
+Errors are spatially correlated. Whether an open path is obstructed, its excess and its bend, the
+direction of a gross error and the shadowing of the signal are first-order Gauss-Markov over the
+path of the sensor (M. Gudmundson, Electronics Letters 27, 1991), as in the shadows of
+`environment`: the excess as the squared length of a pair, obstruction and gross errors as a
+standard normal that lies below the quantile of their share.
 
 A bend is an angle in space, so that it grows in azimuth as noise does; an obstacle's pull turns the
 azimuth by itself. A level slab of thickness w and permittivity e delays by
@@ -94,7 +94,7 @@ class PlaceNormals:
         self._place: PositionEnu = (0.0, 0.0, 0.0)
 
     def move(self, fresh: list[float], place: PositionEnu, correlation_m: float) -> list[float]:
-        """Return the draws at another position, some way on; a correlation of 0 forgets at once."""
+        """Return the draws at a later position; a correlation of 0 forgets at once."""
         kept = 0.0
         if self._values and correlation_m > 0.0:
             kept = math.exp(-math.dist(place, self._place) / correlation_m)

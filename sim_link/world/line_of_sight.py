@@ -1,10 +1,10 @@
-"""Lines of sight and ways around obstacles: kernels over an array of walls.
+"""Lines of sight and paths around obstacles: kernels over an array of walls.
 
 Theory of operation. An obstacle is an upright prism over a simple polygon, given by its walls, one
 row each. A straight path is blocked where it meets a wall below its top, or where one of its ends
 lies inside an obstacle. A blocked signal takes the shorter of two ways: around, the shortest way in
 the plane, taut about the corners as if every obstacle were tall, its climb spread over the whole
-way; or over, a taut string over the roofs, in the upright plane through both ends. The ways from
+path; or over, a taut string over the roofs, in the upright plane through both ends. The paths from
 every corner to the emitter are found once (`ways_to`): they do not depend on the sensor.
 
 An obstacle lets out what is inside of it: it blocks every such path, but it makes no detour. Where
@@ -13,7 +13,7 @@ a path along a wall, or one that ends on it, does not meet it.
 
 Excess and pull begin at zero at the edge of a shadow. The excess is continuous outside of the
 obstacles in the plane, and in space about a single convex one; the pull jumps where the other way
-about becomes the shorter one. Positions are metres, local east, north and up.
+round becomes the shorter one. Positions are metres, local east, north and up.
 """
 
 from __future__ import annotations
@@ -161,10 +161,10 @@ def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: 
 def ways_to(
     target_e: float, target_n: float, corners: Matrix, edges: Matrix, lets_out: Flags
 ) -> Vector:
-    """Return the shortest ways from every corner to a target, (c,), metres; infinite: none.
+    """Return the shortest paths from every corner to a target, (c,), metres; infinite: none.
 
     Dijkstra's algorithm over the legs between corners (c, 2) that no wall (k, 6) cuts, each tested
-    only if it would shorten a way. `lets_out` (k,) are walls about the target.
+    only if it would shorten a path. `lets_out` (k,) are walls about the target.
     """
     count = len(corners)
     ways, open_ways = np.full(count, np.inf), np.full(count, np.inf)
@@ -230,7 +230,7 @@ def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_u
 
 @kernel
 def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out: Flags) -> float:
-    """Return the shortest way straight over the roofs, metres; infinite: too high."""
+    """Return the shortest path straight over the roofs, metres; infinite: too high."""
     target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
     length_m = math.hypot(target_e - e, target_n - n)
     at_m, tops_m = np.empty(len(edges)), np.empty(len(edges))
@@ -251,8 +251,8 @@ def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[f
     """Return the excess path in m and the bearing deflection in rad of a blocked signal.
 
     The excess is never negative. The deflection is counter-clockwise in [-pi, pi], from the
-    direction of the emitter to that of the first corner on the way around; zero for a way over the
-    roofs.
+    direction of the emitter to that of the first corner on the path around; zero for a path over
+    the roofs.
     """
     de, dn = surroundings.east_m - e, surroundings.north_m - n
     climb_m = surroundings.up_m - up
@@ -274,7 +274,7 @@ def walls(polygon: Polygon, top_m: float, owner: int) -> list[tuple[float, ...]]
 
 
 def turning_corners(polygon: Polygon) -> Iterator[Point]:
-    """Yield the corners that a taut way can turn at, a hair outside the polygon."""
+    """Yield the corners that a taut path can turn at, a hair outside the polygon."""
     corners = [start for start, end in edges(polygon) if start != end]
     if signed_area_m2(corners) < 0.0:
         corners.reverse()
@@ -294,7 +294,7 @@ def turning_corners(polygon: Polygon) -> Iterator[Point]:
 def surroundings_of(
     target_enu_m: tuple[float, float, float], edges: Matrix, corners: Matrix
 ) -> Surroundings:
-    """Return an emitter among walls (k, 6) and corners (c, 2), with the ways from each corner."""
+    """Return an emitter among walls (k, 6) and corners (c, 2), with the paths from each corner."""
     east, north, up = target_enu_m
     lets_out = holding(east, north, up, edges)
     ways = ways_to(east, north, corners, edges, lets_out)

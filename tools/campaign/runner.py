@@ -163,7 +163,7 @@ def run_all(
 
 @without_logs()
 def _run_quietly(trial: Trial) -> TrialOutcome:
-    """Return the outcome without its story."""
+    """Return the outcome without its log."""
     return replace(run_one(trial), story=())
 
 

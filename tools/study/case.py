@@ -147,7 +147,7 @@ def lane_corners(
 def track_of(case: Case) -> Matrix:
     """Return the lawnmower's positions at even steps, (steps, 2); all systems start at the first.
 
-    The way from the start to the first lane is part of the track; at the end of the last lane it
+    The path from the start to the first lane is part of the track; at the end of the last lane it
     turns around and goes back lane by lane.
     """
     sweep = lane_corners(case.area_m, case.lane_spacing_m, case.first_lane_north_m)

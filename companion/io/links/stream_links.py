@@ -371,7 +371,7 @@ class PtyLink(StreamLink):
         try:
             master, slave = os.openpty()
         except OSError as error:
-            raise LinkError(f"{self.name}: no pseudo terminal to be had ({error})") from error
+            raise LinkError(f"{self.name}: no pseudo terminal is available ({error})") from error
         try:
             tty.setraw(slave)
             if self._path.is_symlink() and not self._path.exists():

@@ -328,7 +328,7 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
         asks = "`lines` has the option `request` for what to ask"
         if "tag" in setup.kind.decoder.Options.__struct_fields__:
             asks = "the option `tag` is the tag to poll"
-        raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is asked at {url}; {asks}")
+        raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is polled at {url}; {asks}")
 
     def greeted(index: int, received: Received) -> Link:
         """Return the link, which sends the radio's greeting and reports when the radio is gone."""

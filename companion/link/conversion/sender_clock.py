@@ -54,7 +54,7 @@ MAX_WRAP_GAP_S = 60.0
 MAX_LATE_S = 5.0
 """Delay of a slow link that lasts; a longer one shows a clock that restarted."""
 PROMPT_LATE_S = 1.5
-"""The same delay where exchanges of times show that the link is prompt."""
+"""Delay that shows a restarted clock where exchanges of times show that the link is prompt."""
 LATE_CONFIRM_S = 1.0
 """Longest burst of delayed frames."""
 RUN_WINDOW_S = 2.0

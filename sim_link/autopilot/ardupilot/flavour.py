@@ -72,7 +72,7 @@ INFO = mavlink.MAV_SEVERITY_INFO
 
 
 class ArduPilotFlavour(AutopilotFlavour):
-    """ArduCopter 4.5."""
+    """ArduCopter 4.5 on one aircraft."""
 
     firmware = FIRMWARE
 

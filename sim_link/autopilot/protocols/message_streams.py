@@ -155,7 +155,7 @@ class StreamTable:
         interval_s = max(interval_s, self._min_interval_s)
         running = self._streams.get(number)
         if running is not None and running.interval_s == interval_s:
-            return  # asked again for what it gets: its rhythm goes on
+            return  # the same rate as before: its phase stays
         self._streams[number] = _Stream(interval_s, now_s, now_s)
 
 

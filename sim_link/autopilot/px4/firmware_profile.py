@@ -69,7 +69,7 @@ ONBOARD_HZ = _rates_hz("onboard")
 while there is a remote control."""
 STATION_HZ = _rates_hz("station")
 """Rates measured on 14550: ATTITUDE, LOCAL_POSITION_NED, GPS_RAW_INT, VFR_HUD, HEARTBEAT, PING; the
-others make up the 154 messages a second that came in all."""
+others make up the 154 messages a second in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 NARROW_SHARE = 0.14
 """Share of the rates on 14030 (4000 bytes/s), where LOCAL_POSITION_NED had 4.2 of its 30 Hz, and

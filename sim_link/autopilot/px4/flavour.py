@@ -74,7 +74,7 @@ CRITICAL = mavlink.MAV_SEVERITY_CRITICAL
 
 
 class Px4Flavour(AutopilotFlavour):
-    """PX4 1.15, multicopter."""
+    """PX4 1.15 on one multicopter."""
 
     firmware = FIRMWARE
 
@@ -233,7 +233,7 @@ class Px4Flavour(AutopilotFlavour):
 
     @property
     def flown_setpoint(self) -> Setpoint:
-        """The newest one that is valid."""
+        """The newest valid setpoint."""
         return self.setpoints.setpoint
 
     def echo(self) -> Echo | None:

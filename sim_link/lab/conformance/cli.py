@@ -262,7 +262,7 @@ def _run(arguments: argparse.Namespace) -> int:
     role = rules.Role(arguments.role)
     chosen = rules.select(all_rules(), role, arguments.only)
     if not chosen:
-        raise ConfigError(f"--only {arguments.only}: no rule of a {role.value} is called so")
+        raise ConfigError(f"--only {arguments.only}: no rule of a {role.value} has this name")
     say = partial(print, flush=True)
     if arguments.list:
         for text in rules.listing(chosen):

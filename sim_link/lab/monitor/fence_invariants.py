@@ -1,4 +1,4 @@
-"""I1 and I4: setpoints and the ways to them stay inside the fence, and each may be the last.
+"""I1 and I4: setpoints and the paths to them stay inside the fence, and each may be the last.
 
 A jump of the vehicle's own position is an error of the autopilot's, or the end of one; without the
 truth none can know which. So for two seconds nothing may be flown by the new position, and if
@@ -92,7 +92,7 @@ AT_REST_MPS, ARRIVED_M = 0.05, 0.2
 
 
 class SetpointsInside(Invariant):
-    """Setpoints and the ways to them are inside the fence."""
+    """Setpoints and the paths to them are inside the fence."""
 
     name = "I1"
     title = "setpoints, the ways to them and the vehicle stay inside fence and altitude band"
@@ -142,7 +142,7 @@ class SetpointsInside(Invariant):
 
 
 class InsideFence(SetpointsInside):
-    """Setpoint, way to it and stopping point are inside the fence, and so is the true vehicle."""
+    """Setpoint, path to it and stopping point are inside the fence, and so is the true vehicle."""
 
     def __init__(self, scene: TrueScene) -> None:
         super().__init__(scene)

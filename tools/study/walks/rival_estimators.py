@@ -42,7 +42,7 @@ from companion.replay.walk_replay import WalkRow
 
 EAST, NORTH, OFFSET, SCALE, TURN = range(5)
 STARTS = 8
-"""Starting points on a ring about the middle of the way, at the median range."""
+"""Starting points on a ring about the middle of the path, at the median range."""
 SAMPLES = 2000
 """Samples of a Gaussian, and particles."""
 UNLIMITED_M = 1e3

@@ -127,7 +127,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}", harms=True)
     def senseless_reposition_is_refused(self) -> None:
-        """DO_REPOSITION to no latitude or in a local frame is refused, and nothing moves."""
+        """DO_REPOSITION to a bad latitude or in a local frame is refused, and nothing moves."""
         self.take_off()
         before = self.place()
         cases = {
@@ -188,7 +188,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule(f"MAVLink common, MAV_CMD_DO_SET_HOME {STRICT}", effect=CHANGES, harms=True)
     def senseless_home_is_refused(self) -> None:
-        """DO_SET_HOME to no latitude is refused and home stays."""
+        """DO_SET_HOME to a bad latitude is refused and home stays."""
         self.get_ready()
         before = self.home()
         result = self.set_home((1_000_000_000, 0, 488.0))

@@ -168,7 +168,7 @@ class OffboardRules(SetpointClient):
 
     @book.rule(f"{LOCAL} (stricter: no terrain or 0/0 without terrain data)", harms=True)
     def senseless_setpoint_moves_nothing(self) -> None:
-        """NaN, a foreign frame, an empty mask, 0/0 or no latitude never moves the vehicle."""
+        """NaN, a foreign frame, an empty mask, 0/0 or a bad latitude never moves the vehicle."""
         before = self.begin()
         for name, setpoint in invalid_setpoints(self, before).items():
             self.fly(setpoint, 2.5)

@@ -42,7 +42,7 @@ def finding_about_fence(
         (OTHER, "compare", Level.FAIL, "borders up to 30.0 m apart"),
         (OTHER, "require", Level.FAIL, "borders up to 30.0 m apart"),
         (NONE, "compare", Level.WARN, "autopilot has no fence"),
-        (NONE, "require", Level.FAIL, "wants one"),
+        (NONE, "require", Level.FAIL, "requires one"),
         (NONE, "use", Level.FAIL, "no fence to use"),
         (SILENT, "compare", Level.WARN, "no answer"),
         (None, "compare", Level.WARN, "the autopilot's fence is not known yet"),

@@ -373,7 +373,7 @@ def test_what_is_asked_each_period_is_an_option_and_a_period_alone_is_refused() 
 
     assert setup.kind.decoder(setup.options).request() == b"D,1\r\n"
     assert setup.settings.poll_s == 0.5
-    with pytest.raises(ConfigError, match="nothing is asked at /dev/ttyUSB0"):
+    with pytest.raises(ConfigError, match="nothing is polled at /dev/ttyUSB0"):
         radio_links(flown_radios((), [asked.replace("request", "hello")]))
 
 

@@ -66,7 +66,7 @@ def test_after_a_failure_it_goes_on_where_it_was(
 ) -> None:
     TileServer.fails_after = 3
     assert fetch(server, tmp_path) == EXIT_BAD_INPUT
-    assert "run it again to go on" in capsys.readouterr().err
+    assert "run it again to continue" in capsys.readouterr().err
     TileServer.fails_after = 10_000
     assert fetch(server, tmp_path) == 0
     asked = len(wanted_tiles("47.398,8.546", 300.0, "15-16")) + 1
