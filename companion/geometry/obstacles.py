@@ -220,8 +220,8 @@ def check_corners(polygons: Iterable[Polygon]) -> None:
     count = sum(map(len, polygons))
     if count > MAX_CORNERS:
         raise ValueError(
-            f"{count} corners in all, with those of keep_out_enu_m; at most {MAX_CORNERS} are "
-            "checked in time"
+            f"{count} corners in all, with those of keep_out_enu_m; at most {MAX_CORNERS} can "
+            "be checked in time"
         )
 
 

@@ -198,6 +198,88 @@ STEP: Steps = {
     ),
 }
 
+TEXT: Steps = {
+    1: (
+        Edit(
+            "companion/link/quality.py",
+            "        self._is_loose = False\n",
+            r"^        self\._is_offset_said = False\n",
+        ),
+        Edit(
+            "companion/link/quality.py",
+            """        if self.stage.lost >= 3 and not self._is_loose:
+            self._is_loose = True
+            news.append((Severity.WARNING, f"lost {self.stage.lost} times: check its plug"))
+""",
+            r"^        news = \[\*self\._names.*\n",
+        ),
+    ),
+    2: (
+        Edit(
+            "docs/messages.md",
+            "| `lost … times: check its plug` | | plug it in |\n",
+            r"^\| `heard again` .*\n",
+        ),
+    ),
+    3: (
+        Edit(
+            "tests/unit/companion/link/test_radio_watch.py",
+            """
+
+def test_a_loose_plug_is_told_once() -> None:
+    watch = watch_of()
+    for _ in range(3):
+        watch.stage.receive(b"", 0.0)
+    assert told(watch, 0.0, 2.0) == ["radio said: lost 3 times: check its plug"]
+""",
+        ),
+    ),
+}
+
+KEY: Steps = {
+    1: (
+        Edit(
+            "companion/guidance/commands.py",
+            '''    patience_s: Waiting = 60.0
+    """Time without an operator's answer after which the search continues."""
+''',
+            r'^    """Search altitude above home\."""\n',
+        ),
+    ),
+    2: (
+        Edit(
+            "configs/companion/default.yaml",
+            "  patience_s: 60.0          # time without an answer until the search continues\n",
+            r"^  altitude_m: .*\n",
+        ),
+        Edit(
+            "docs/flying.md",
+            "Without an answer for `mission.patience_s` the search continues.\n\n",
+            r"^## Several emitters\n\n",
+        ),
+    ),
+    3: (
+        Edit(
+            "companion/config/versions.py",
+            """    mission = raw.get("mission")
+    if isinstance(mission, dict) and "waits_s" in mission:
+        mission["patience_s"] = mission.pop("waits_s")
+""",
+            r"^    emitter_id = raw\.pop.*\n",
+        ),
+        Edit(
+            "tests/unit/companion/config/test_versions.py",
+            """
+
+def test_patience_s_had_another_name() -> None:
+    raw = {"mission": {"waits_s": 5.0}}
+    assert renew(raw, "site") == []
+    assert raw == {"schema_version": SCHEMA_VERSION, "mission": {"patience_s": 5.0}}
+""",
+        ),
+    ),
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
@@ -215,6 +297,13 @@ RECIPES = (
     Recipe("A filter", "gated", FILTER),
     Recipe("A planner, or a search pattern", "orbit", PLANNER),
     Recipe("A radio", "acme", RADIO),
+    Recipe("A text for the operator", "loose", TEXT, frozenset({"companion/guidance"})),
+    Recipe(
+        "A configuration key",
+        "patience_s",
+        KEY,
+        frozenset({"companion/config/schema.py", "tests/data/configs_1.0.0rc1.yaml"}),
+    ),
     Recipe(
         "A failsafe",
         "vibration",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from companion.config.loader import parse_yaml
@@ -15,6 +17,7 @@ from companion.config.radios import (
 from companion.config.schema import CompanionConfig, with_radios
 from companion.domain import Params
 from companion.errors import ConfigError
+from companion.link.interface import RadioSettings
 from companion.radios.decoder import RadioDecoder, RadioKind, RadioReading
 
 FILE = """
@@ -27,6 +30,12 @@ radios:
 
 def config_of(text: str) -> CompanionConfig:
     return parse_yaml(text, CompanionConfig, "site.yaml")
+
+
+def test_the_page_of_radios_has_a_row_for_every_setting() -> None:
+    page = (Path(__file__).parents[4] / "docs/radios.md").read_text()
+    table = page.partition("## Settings that every radio has")[2].partition("\n## ")[0]
+    assert [key for key in RadioSettings.__struct_fields__ if f"`{key}`" not in table] == []
 
 
 def test_a_radio_of_a_file_is_set_as_it_says_and_else_by_its_kind() -> None:
