@@ -1,4 +1,4 @@
-"""A flight, and the demo of one, as the command line asks for them."""
+"""A flight, and the demo of one, by the options of the command line."""
 
 from __future__ import annotations
 

@@ -261,7 +261,7 @@ class FlightOptions:
     is_fresh: bool = False
     """Restore nothing of an earlier run."""
     views: Sequence[FlightView] = ()
-    """Watch the flight; closed at its end."""
+    """Views of the flight, closed at its end."""
     at_end: Callable[[Path], None] | None = None
     """Called with the flight's directory once everything is written."""
 

@@ -140,8 +140,8 @@ class RateLimited:
 
     def is_due(self, what: Hashable, now_s: float) -> bool:
         """Return True if an item is due now; it then counts as sent."""
-        told_s = self._announced_s.get(what)
-        if told_s is not None and now_s - told_s < self._period_s:
+        announced_s = self._announced_s.get(what)
+        if announced_s is not None and now_s - announced_s < self._period_s:
             return False
         self._announced_s[what] = now_s
         return True

@@ -67,8 +67,8 @@ class SettledRule:
         self._measuring_s = 0.0
         """Time between accepted measurements."""
         self._heard_s: float | None = None
-        """Time of the last one; None: the vehicle held since then, or measurements paused for
-        long."""
+        """Time of the last accepted measurement; None: the vehicle held since then, or measurements
+        paused for long."""
         self._mark: tuple[float, float] | None = None
         """Measuring time and R95 at the latest improvement of R95."""
 
@@ -108,7 +108,7 @@ SAME_LEG_M = 1.0
 """Longest move of a waypoint that is the same one, refined."""
 REACHED_M = 3.0
 FINAL_AGAIN_S = 5.0
-"""Longer than a request with all its repetitions takes."""
+"""Period of the requests, longer than one takes with all its repetitions."""
 ENDED_EARLY = "SEARCH ENDED, battery low:"
 SEARCH_OVER = "SEARCH OVER:"
 LOCALISED, SETTLED = "LOCALISED", "SETTLED"

@@ -68,7 +68,7 @@ class TunableSpec:
     """Parameter as a ground station sees it."""
 
     name: str
-    """Up to 16 ASCII characters."""
+    """Name of up to 16 ASCII characters."""
     kind: ParamType
     when: When
 

@@ -87,7 +87,7 @@ class RadioSettings(Params, frozen=True):
     clock_wrap_s: Positive | None = None
     """Period after which the device's clock wraps to zero; null: that of the radio's kind."""
     lag_s: Annotated[float, msgspec.Meta(ge=-1.0, le=5.0)] = 0.0
-    """Delay of that time after the measurement."""
+    """Delay of the reading's time after the measurement."""
     max_age_s: Positive | None = None
     """Largest age of a reading; an older one is refused; null: by `AcceptanceParams`, 1 s."""
     rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ

@@ -28,7 +28,7 @@ LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
 """Baud rates of the built-in radios and of their variants, the usual one first."""
 FEWEST = 2
-"""Readings: a single one may be chance, and slow radios give one or two in the time."""
+"""Fewest readings: a single one may be chance, and slow radios give one or two in the time."""
 HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
 """Share of the time for each of those speeds: slow radios are text at the first, the second is
 fast."""

@@ -263,7 +263,7 @@ FOREIGN = {
 }
 """Keys of other formats by the key that they correspond to here, with other units."""
 STRANGE_SHARE = 20
-"""Angles are refused until so many good lines came for each angle beyond a turn: one torn digit
+"""Good lines that must follow each angle beyond a turn before angles are used again: one torn digit
 does not end a stream, degrees do."""
 RULES = {
     "emitter_id": "emitter_id must be 0 to 65535, or a name in quotes",

@@ -68,7 +68,7 @@ class SetpointMonitor:
         """Setpoint messages addressed to us, the refused ones included."""
         self.refused = 0
         self.longest_gap_s = 0.0
-        """Longest time between two valid ones while they were flown."""
+        """Longest time between two valid setpoints while they were flown."""
 
     def take(self, setpoint: Setpoint | None, now_s: float, *, is_flown: bool) -> None:
         """Count a message and keep its setpoint; None means that it was refused."""

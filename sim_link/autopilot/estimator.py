@@ -248,7 +248,7 @@ class Estimator:
         return self.navigation.fix if self.error is None else self.error.fix
 
     @property
-    def told_accuracy_m(self) -> tuple[float, float]:
+    def reported_accuracy_m(self) -> tuple[float, float]:
         """Horizontal and vertical accuracy that it reports, one sigma; 0: unknown.
 
         Without configured errors it is an RTK receiver with white noise.

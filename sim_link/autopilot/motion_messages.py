@@ -136,7 +136,7 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
     speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
     place = to_e7(vehicle.geodetic)
     fix, motion = FIX_TYPES[vehicle.estimator.fix], (speed, _centidegrees(course))
-    accuracy_m = vehicle.estimator.told_accuracy_m
+    accuracy_m = vehicle.estimator.reported_accuracy_m
     h_acc_mm, v_acc_mm = (round(1e3 * sigma_m) for sigma_m in accuracy_m)
     return (boot_us(vehicle), fix, *place, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
 

@@ -186,7 +186,7 @@ def estimator_status(vehicle: SimVehicle) -> Fields:
     is_good, ratio = vehicle.estimator.is_position_valid, vehicle.estimator.test_ratio
     ratios = (ratio("velocity"), ratio("position"), ratio("height"), ratio("compass"))
     flags = GOOD_ESTIMATE if is_good else BLIND_ESTIMATE
-    horizontal_m, vertical_m = vehicle.estimator.told_accuracy_m
+    horizontal_m, vertical_m = vehicle.estimator.reported_accuracy_m
     accuracy = (horizontal_m if is_good else 50.0, vertical_m)
     return (boot_us(vehicle), flags, *ratios, 0.0, 0.0, *accuracy)
 

@@ -24,7 +24,7 @@ from sim_link.world.radio_channel import AntennaKind
 LIGHT_MPS = 299_792_458.0
 U32 = 1 << 32
 FLOOR_DBM, AT_ONE_METRE_DBM = -95.0, -45.0
-"""Free space, and no less than noise."""
+"""Noise floor, and power received 1 m from an emitter, after the free-space law."""
 LINE_END = "\r\n"
 SIMULATION_BEGAN_S = 1_718_000_000.0
 """Unix time at the start of the simulation, for formats with wall-clock time."""

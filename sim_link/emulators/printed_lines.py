@@ -240,7 +240,7 @@ def c_sentence(azimuth_deg: float, magnitude: int, tone_peak: int, epoch_ms: int
 
 
 class Kn5r(LineEmulator):
-    """A sentence twenty times a second."""
+    """A Doppler finder that prints a sentence twenty times a second."""
 
     name = "doppler_kn5r"
     title = "Doppler direction finder, KN5R-RDF sentences"

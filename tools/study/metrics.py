@@ -37,7 +37,7 @@ SETTLED_STEP = 20
 COVERAGE_BAND = (0.93, 0.97)
 """Coverage of an honest R95 circle."""
 SETTLED_M = 2.5
-"""Paper: Time-to-Threshold."""
+"""Error below which a run has settled. Paper: Time-to-Threshold."""
 DIVERGED_M = SETTLED_M
 """Error beyond which a run has diverged: it has not settled in the paper's own sense. Its square
 alone decides an RMSE over runs, so that such an RMSE is not comparable with another."""

@@ -265,7 +265,7 @@ class LocalSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class GlobalSetpoint:
-    """SET_POSITION_TARGET_GLOBAL_INT."""
+    """A SET_POSITION_TARGET_GLOBAL_INT setpoint."""
 
     latitude_e7: int
     longitude_e7: int

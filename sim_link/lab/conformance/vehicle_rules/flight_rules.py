@@ -235,7 +235,7 @@ class FailsafeRules(ParameterClient, SetpointClient):
 
     @book.rule("PX4 user guide, Safety Configuration, NAV_DLL_ACT, COM_DL_LOSS_T", flavours=PX4)
     def lost_data_link_returns(self) -> None:
-        """With NAV_DLL_ACT 2, COM_DL_LOSS_T without a ground station: Hold for a while, RETURN."""
+        """NAV_DLL_ACT 2: COM_DL_LOSS_T without a ground station end in Hold, then in RETURN."""
         self.change("NAV_DLL_ACT", 2.0)
         self.change("COM_DL_LOSS_T", 5.0)
         self.take_off()

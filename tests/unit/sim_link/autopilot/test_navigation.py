@@ -100,7 +100,7 @@ def test_without_an_error_it_is_a_receiver_with_rtk(
 ) -> None:
     params = NavigationParams(**changes)  # type: ignore[arg-type]
     estimator = Estimator(ORIGIN, GpsParams(), noise_m, np.random.default_rng(1), params)
-    assert estimator.told_accuracy_m == pytest.approx(told)
+    assert estimator.reported_accuracy_m == pytest.approx(told)
     assert estimator.fix == "rtk_fixed"
 
 
@@ -115,7 +115,7 @@ def test_without_an_error_it_is_a_receiver_with_rtk(
 def test_what_it_tells_of_itself(changes: dict[str, float], told: tuple[float, float]) -> None:
     params = NavigationParams(sigma_m=1.5, height_sigma_m=3.0, **changes)  # type: ignore[arg-type]
     estimator = Estimator(ORIGIN, GpsParams(), 0.0, np.random.default_rng(1), params)
-    assert estimator.told_accuracy_m == pytest.approx(told)
+    assert estimator.reported_accuracy_m == pytest.approx(told)
 
 
 def test_the_bias_is_all_that_the_report_is_off_by() -> None:
