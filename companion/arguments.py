@@ -230,12 +230,12 @@ def _add_config(commands: Commands) -> None:
     config = commands.add_parser(
         "config",
         help="show every value of a configuration and its origin, or the schema",
-        description="What a configuration comes to, and the schema of its files.",
+        description="The values of a configuration, and the schema of its files.",
     )
     parts = config.add_subparsers(dest="config_command", metavar="{show,schema}", required=True)
     show = parts.add_parser(
         "show",
-        help="every value, and whether it is a default, of a file or of a flag",
+        help="every value, and whether it comes from the defaults, a file or a flag",
         description="Print the configuration that a flight with these arguments would have, as "
         "a file that can be used again, with the origin of each value behind it.",
     )
@@ -366,29 +366,29 @@ def _add_radio(commands: Commands) -> None:
     radio = commands.add_parser(
         "radio",
         help="list, watch, record and calibrate radios",
-        description="Radios with formats of their own: which there are, and what they say.",
+        description="Radios with formats of their own: which there are, and what they report.",
     )
     parts = radio.add_subparsers(
         dest="radio_command", metavar="{list,identify,watch,record,calibrate}", required=True
     )
-    parts.add_parser("list", help="every radio that can be chosen, and what it gives")
+    parts.add_parser("list", help="every radio that can be chosen, and what it measures")
     identify = parts.add_parser(
         "identify",
-        help="listen ten seconds, and say which radio it is and what to type",
+        help="listen ten seconds, and print which radio it is and its command",
         description="Listen at an address, a serial port at its usual speeds, and name the radio.",
     )
     identify.add_argument("url", metavar="@URL", help="as in NAME@URL")
     _option(identify, "--seconds", "S", "in all", type=float, default=10.0)
     watch = parts.add_parser(
         "watch",
-        help="show what a radio says, live",
-        description="Show what radios say: rate, range, bearing, scatter, and what is refused.",
+        help="show the readings of a radio, live",
+        description="Show the readings of radios: rate, range, bearing, scatter, and refusals.",
     )
     watch.add_argument("radios", metavar="RADIO", nargs="*", help="NAME[:KEY=VALUE,...]@URL")
     _add_listening(watch, "end after so many seconds (default: Ctrl-C)")
     record = parts.add_parser(
         "record",
-        help="keep what radios send, and where the vehicle is meanwhile",
+        help="record what radios send, and the vehicle's poses meanwhile",
         description="Keep the bytes of radios with their times and, where connected, the vehicle's "
         "position and attitude. `companion replay FILE` runs it through the estimator.",
     )

@@ -37,7 +37,7 @@ TAKE_BACK = "Any other mode takes control back at once."
 ALWAYS = {
     Phase.LAUNCHING: "Stand clear: it takes off by itself. Any mode switch or moved stick ends it.",
     Phase.FINISHED: (
-        "Hand the place over: HAND OVER on the map, or handoff.txt in the flight's folder."
+        "Hand the position over: HAND OVER on the map, or handoff.txt in the flight's folder."
     ),
     Phase.HANDBACK: "Take over: it asks the autopilot to hold or to return, and stops flying.",
     Phase.STOPPED: "You fly. The companion has ended; start it again for another search.",
@@ -86,22 +86,24 @@ def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
 def _in_search(status: GuidanceStatus) -> str:
     estimate = status.estimate
     if status.phase is Phase.DEGRADED:
-        return "Watch it: the radio is hardly heard. It flies slowly, and holds if that lasts."
+        return "Watch it: the radio is barely heard. It flies slowly, and holds if that lasts."
     if estimate is None:
-        return f"Watch it look for the radio. {TAKE_BACK}"
+        return f"Watch it search for the radio. {TAKE_BACK}"
     if estimate.state is EstimateState.AMBIGUOUS:
-        return f"Watch it: two places fit, and it flies to find out which. {TAKE_BACK}"
+        return f"Watch it: two positions fit, and it flies to decide between them. {TAKE_BACK}"
     if estimate.state is EstimateState.LOCALISED:
-        return "Wait for the report: it makes sure of the place. Get the ground team ready."
+        return "Wait for the report: it is confirming the position. Get the ground team ready."
     return f"Watch the red circle shrink with every crossing. {TAKE_BACK}"
 
 
 def _while_holding(status: GuidanceStatus) -> str:
     if "operator" in status.detail:
-        return "Press RESUME on the map to fly on, or RETURN to end the search."
+        return "Press RESUME on the map to continue, or RETURN to end the search."
     if "ranging" in status.detail:
-        return "Check the radio. It flies on when it is heard; or take over and move closer."
-    return "Watch it: it flies on by itself when this is over. Or take over with the mode switch."
+        return (
+            "Check the radio. The search continues once it is heard; or take over and move closer."
+        )
+    return "Watch it: it continues by itself when this is over. Or take over with the mode switch."
 
 
 def _after_yielding(endpoint: CompanionEndpoint, guided: str) -> str:
@@ -115,7 +117,7 @@ Json = dict[str, object]
 
 ESTIMATE_WORDS = {
     EstimateState.SEARCHING: "searching",
-    EstimateState.AMBIGUOUS: "two places are possible",
+    EstimateState.AMBIGUOUS: "two positions are possible",
     EstimateState.LOCALISED: "localised",
     EstimateState.DIVERGED: "recovering",
 }

@@ -19,8 +19,8 @@ Press = Callable[[str], None]
 
 BUTTONS = (
     ("hold", "HOLD", "#b45309", "Hold in place until RESUME?"),
-    ("resume", "RESUME", "#15803d", "Fly the search again?"),
-    ("return", "RETURN", "#b91c1c", "Return to home? The companion gives the vehicle up."),
+    ("resume", "RESUME", "#15803d", "Resume the search?"),
+    ("return", "RETURN", "#b91c1c", "Return home? The companion ends its control."),
     (
         "grant",
         "GRANT",

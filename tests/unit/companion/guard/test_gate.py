@@ -234,7 +234,7 @@ class TestWhatIsNoNumber:
         odd = list(START)
         odd[axis] = value
         place = (odd[0], odd[1], odd[2])
-        problem = "the place of the vehicle or of home is not a number"
+        problem = "the position of vehicle or home is not a number"
         for guard in (GUARD, Guard(replace(LIMITS, fence=None))):
             for nowhere in (motion(place), Motion(START, (0.0, 0.0, 0.0), place)):
                 with pytest.raises(ValueError, match=f"^{problem}$"):

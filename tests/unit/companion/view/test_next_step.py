@@ -52,7 +52,7 @@ def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"estimate": None}, "look for the radio"),
+        ({"estimate": None}, "search for the radio"),
         ({"phase": Phase.HOLD, "detail": "operator requested hold"}, "Press RESUME"),
         ({"phase": Phase.HOLD, "detail": "no ranging for 5 s"}, "Check the radio"),
         ({"phase": Phase.WAITING, "detail": "found in OFFBOARD"}, "Switch to another mode"),
@@ -67,7 +67,7 @@ def test_a_search_is_told_by_the_state_of_its_estimate(flown: Loop, state: Estim
     estimate = flown.companion.session.estimate
     assert estimate is not None
     told_now = told(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))
-    assert ("two places" in told_now) is (state is EstimateState.AMBIGUOUS)
+    assert ("two positions" in told_now) is (state is EstimateState.AMBIGUOUS)
     assert ("report" in told_now) is (state is EstimateState.LOCALISED)
 
 
