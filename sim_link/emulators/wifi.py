@@ -76,7 +76,7 @@ class Esp32Ftm(LineEmulator):
     """Messages of the boot loader, the first of them at another baud rate."""
 
     def lines_of(self, answer: Answer, asked: Round) -> list[str]:
-        """Return a session."""
+        """Return the lines of a session."""
         clock_ms = self.device_ms(asked.sent_at_s) % U32
         mac = mac_of(answer.emitter_id)
         begin = [

@@ -368,7 +368,7 @@ class SafeToFreeze(PlacesOnly):
 
 
 REACTION_S = 12.0
-"""The companion reads a fence without an id every 10 s; see `docs/flying.md`."""
+"""Longest time to a request for a changed fence: one without an id is read every 10 s."""
 MISSION_CURRENT = mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
 
 

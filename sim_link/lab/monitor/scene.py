@@ -87,7 +87,7 @@ AUTOPILOT_COMPONENT = 1
 OBSERVED_MESSAGES = frozenset(message_ids("HEARTBEAT LOCAL_POSITION_NED GPS_GLOBAL_ORIGIN"))
 """Messages that `ObservedState` keeps something of."""
 REMEMBERED = 6000
-"""Frames of the vehicle whose time of sending is known."""
+"""Number of the vehicle's latest frames whose time of sending is kept."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
 FRAME_STEP_M = 1.0
 """Step of an origin that has taken the local frame with it."""
