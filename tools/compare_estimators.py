@@ -194,11 +194,10 @@ def table(scores: Sequence[Score]) -> str:
 
 def plot(scores: Sequence[Score], path: Path) -> None:
     """Draw error beside R95 of every target, a panel for each estimator."""
-    from matplotlib.figure import Figure
+    from tools.study.reporting.plots import panels_of
 
     names = list(dict.fromkeys(s.estimator for s in scores))
-    figure = Figure(figsize=(3.2 * len(names), 3.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, len(names), sharex=True, sharey=True))
+    figure, (panels,) = panels_of(len(names), len(names), 3.2, 3.25, sharex=True, sharey=True)
     ends = [min(s.r95_m for s in scores), max(s.r95_m for s in scores)]
     for panel, name in zip(panels, names, strict=True):
         for preset in dict.fromkeys(s.preset for s in scores):

@@ -25,7 +25,7 @@ from tools.console import OneLineParser, csv_text, done_by, non_negative, positi
 from tools.study import search_planners, searched_area, study_run
 from tools.study.field_flights import flights_of, fly
 from tools.study.power_pairs import fly_both, table_of_power
-from tools.study.reporting.area_report import write_area_report
+from tools.study.reporting.area_report import table_of_area, write_reliability
 from tools.study.reporting.field_report import drawing_of, markdown_of, summary_of
 from tools.study.reporting.study_report import Section, sections_of, write_page
 from tools.study.reporting.study_tables import rows_of, studies_of
@@ -150,40 +150,14 @@ def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
     runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
     study_run.made_folder(out)
     flown = done_by(fly, runs, arguments.jobs, backend=arguments.backend)
-    if study.write(out, flown):
+    table, is_met = study.table_of(flown)
+    write_text_atomic(out / f"{arguments.study}.txt", table)
+    study.write_beside(out, flown)
+    print(table, end="")
+    if is_met:
         return 0
     say(f"run_study: {study.failure}")
     return 1
-
-
-def table_to(name: str, table_of: Callable[[list[Any]], tuple[str, bool]]) -> Write:
-    """Return what writes a table to a file and prints it."""
-
-    def write(out: Path, flown: list[Any]) -> bool:
-        """Write and print the table; return True within the limits."""
-        table, is_met = table_of(flown)
-        write_text_atomic(out / name, table)
-        print(table, end="")
-        return is_met
-
-    return write
-
-
-def write_power(out: Path, flown: list[Any]) -> bool:
-    """Write the pairs of flights, and their table."""
-    write_json_atomic(out / "flights.json", flown)
-    return table_to("power.txt", table_of_power)(out, flown)
-
-
-def write_area(out: Path, flown: list[Any]) -> bool:
-    """Write table and diagram of the stated probabilities."""
-    is_met = write_area_report(out, [trial for trials in flown for trial in trials])
-    say(f"{out}: reliability.csv, reliability.png")
-    return is_met
-
-
-Write = Callable[[Path, list[Any]], bool]
-"""Writes the results of flights into a folder; returns True within the limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,27 +166,35 @@ class SimulatedStudy:
 
     fly: Callable[..., Any]
     flights: int
-    write: Write
+    table_of: Callable[[list[Any]], tuple[str, bool]]
+    """Return the table of all flights, and True within the limits."""
     failure: str
+    write_beside: Callable[[Path, list[Any]], None] = lambda *_: None
+    """Write other files than the table into a folder."""
 
 
 SIMULATED = {
     "area": SimulatedStudy(
-        searched_area.fly, 2000, write_area, "a stated probability is off by more than 3 %"
+        searched_area.fly,
+        2000,
+        table_of_area,
+        "a stated probability is off by more than 3 %",
+        write_reliability,
     ),
     "power": SimulatedStudy(
-        fly_both, 100, write_power, "flights with received power are the worse ones"
+        fly_both,
+        100,
+        table_of_power,
+        "flights with received power are the worse ones",
+        lambda out, flown: write_json_atomic(out / "flights.json", flown),
     ),
-    "prior": SimulatedStudy(
-        fly_pair,
-        400,  # more than half of them have a contact after a search
-        table_to("prior.txt", table_of_pairs),
-        "the searched prior delays a fix",
+    "prior": SimulatedStudy(  # in more than half of the flights a contact follows a search
+        fly_pair, 400, table_of_pairs, "the searched prior delays a fix"
     ),
     "search": SimulatedStudy(
         search_planners.fly_planners,
         100,
-        table_to("planners.txt", search_planners.table_of),
+        search_planners.table_of,
         "the planner `probability` exceeds a limit",
     ),
 }

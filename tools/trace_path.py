@@ -22,19 +22,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from companion.config.schema import CompanionConfig
+from companion.entry import ignore_broken_pipe
+from companion.estimation.tracker import FusionReport
+from companion.guidance.commands import SessionParams
+from companion.mav.codec import message_id
+from companion.mav.dialect import MAVLink_radio_ranging_message
+from companion.mav.endpoint import Chunk
+from sim_link.autopilot.scenario import Scenario
+from sim_link.lab.lockstep import Flight, MemoryJournal
+
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from companion.config.schema import CompanionConfig  # noqa: E402
-from companion.entry import ignore_broken_pipe  # noqa: E402
-from companion.estimation.tracker import FusionReport  # noqa: E402
-from companion.guidance.commands import SessionParams  # noqa: E402
-from companion.mav.codec import message_id  # noqa: E402
-from companion.mav.dialect import MAVLink_radio_ranging_message  # noqa: E402
-from companion.mav.endpoint import Chunk  # noqa: E402
-from sim_link.autopilot.scenario import Scenario  # noqa: E402
-from sim_link.lab.lockstep import Flight, MemoryJournal  # noqa: E402
-
 PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fusion"
 """Function at whose report the path ends: the measurement has moved the estimate, or was refused.

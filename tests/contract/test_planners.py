@@ -36,7 +36,8 @@ from companion.planning.search_probability import ProbabilityPlanner
 from companion.planning.views import Antenna
 from companion.search.detection_model import DetectionModel
 from companion.search.outlook import LegTable
-from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from tools.study.case import Case
+from tools.study.reactive_crossing import ReactiveCrossing
 
 HOOK = ((-40.0, -40.0), (40.0, -40.0), (40.0, 0.0), (0.0, 0.0), (0.0, 40.0), (-40.0, 40.0))
 
@@ -51,8 +52,8 @@ def as_configured(kinds: object) -> dict[str, Planner[Any]]:
 
 
 CROSSING: dict[str, Planner[Any]] = as_configured(CrossingKind) | {
-    "reactive": ReactiveCrossing(ReactiveCrossingParams()),
-    "reactive, parking": ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=500.0)),
+    "reactive": ReactiveCrossing(Case()),
+    "reactive, parking": ReactiveCrossing(Case(stop_distance_m=500.0)),
     "latched, without a sensor": LatchedCrossing(LatchedCrossingParams()),
     "latched, tight": LatchedCrossing(LatchedCrossingParams(overshoot_max_m=2.0)),
     "latched, swinging": LatchedCrossing(LatchedCrossingParams(altitude_swing_m=5.0)),
@@ -79,7 +80,7 @@ BOTH: dict[str, Planner[Any]] = {
     ),
     "square, then reactive": SearchThenCross(
         SearchPlanner(ExpandingSquareParams()),
-        ReactiveCrossing(ReactiveCrossingParams()),
+        ReactiveCrossing(Case()),
         5.0,
     ),
 }

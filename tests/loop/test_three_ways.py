@@ -53,7 +53,7 @@ from tools.study.case import (
     stream,
     truth_of,
 )
-from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from tools.study.reactive_crossing import ReactiveCrossing
 from tools.study.systems import PlannerName, System, belief_of, pilot_of, steering_of
 from tools.study.trials import TrialResult, flown_trial, run_trial
 from tools.study.walk import WalkFilter, first_fix, next_place, updated
@@ -86,7 +86,7 @@ FILTER_ALONE = TrackerParams(
 def planner_of(name: PlannerName) -> Planner[Any]:
     """The companion's planner with its defaults, or the study's own."""
     if name == "reactive":
-        return ReactiveCrossing(ReactiveCrossingParams())
+        return ReactiveCrossing(Case())
     return build_planner(CompanionConfig(planner=PlannerConfig(kind=KINDS[name])))
 
 
@@ -250,15 +250,9 @@ def test_bytes_change_no_estimate(planner: PlannerName) -> None:
 
 def test_the_companion_flies_by_the_studys_parameters() -> None:
     flown, studied = PlannerConfig(), Case()
-    reactive = ReactiveCrossingParams()
     assert flown.kind == KINDS["latched"]
     assert flown.latched_crossing == studied.latched
     assert (FimParams().step_m, FimParams().headings) == (studied.step_m, studied.fim_headings)
-    assert (reactive.step_m, reactive.crossing_distance_m, reactive.stop_distance_m) == (
-        studied.step_m,
-        studied.crossing_distance_m,
-        studied.stop_distance_m,
-    )
 
 
 @pytest.mark.slow

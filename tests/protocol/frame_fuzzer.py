@@ -9,7 +9,7 @@ the first one forwards are not its own and are left out. An exception of either 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -81,6 +81,25 @@ class Piece:
     meant: Meant
 
 
+def random_fields(
+    size: int, rng: np.random.Generator, special: Sequence[float] = SPECIAL_FLOATS
+) -> bytes:
+    """Return random bytes, or plausible floats and small integers, which do more harm."""
+    if rng.random() < 0.5:
+        return rng.bytes(size)
+    payload = bytearray(size)
+    for start in range(0, size - 3, 4):
+        draw = rng.random()
+        if draw < 0.5:
+            value = special[int(rng.integers(len(special)))]
+            payload[start : start + 4] = np.float32(value).tobytes()
+        elif draw < 0.8:
+            payload[start] = int(rng.integers(16))
+        else:
+            payload[start : start + 4] = np.float32(rng.normal(0.0, 100.0)).tobytes()
+    return bytes(payload)
+
+
 class FrameFuzzer:
     """Makes frames with random fields, and bytes that are no frames.
 
@@ -109,7 +128,7 @@ class FrameFuzzer:
         return Piece(frame, meant)
 
     def _frame(self, kind: type[Message]) -> tuple[bytes, Meant]:
-        payload = bytearray(self._fields(kind))
+        payload = bytearray(random_fields(int(kind.unpacker.size), self._rng))
         meant = Meant.VEHICLE
         if "target_system" in kind.fieldnames:
             meant = self._address(kind, payload)
@@ -120,24 +139,6 @@ class FrameFuzzer:
         spec = FrameSpec(255, 190, self._sequence)
         cut = bytes(payload).rstrip(b"\0") or b"\0"
         return build_raw(int(kind.id), cut, int(kind.crc_extra), spec), meant
-
-    def _fields(self, kind: type[Message]) -> bytes:
-        """Return random bytes, or plausible floats and small integers, which do more harm."""
-        size = int(kind.unpacker.size)
-        if self._rng.random() < 0.5:
-            return self._rng.bytes(size)
-        payload = bytearray(size)
-        for start in range(0, size - 3, 4):
-            draw = self._rng.random()
-            if draw < 0.5:
-                value = SPECIAL_FLOATS[int(self._rng.integers(len(SPECIAL_FLOATS)))]
-                payload[start : start + 4] = np.float32(value).tobytes()
-            elif draw < 0.8:
-                payload[start] = int(self._rng.integers(16))
-            else:
-                value = float(self._rng.normal(0.0, 100.0))
-                payload[start : start + 4] = np.float32(value).tobytes()
-        return bytes(payload)
 
     def _address(self, kind: type[Message], payload: bytearray) -> Meant:
         draw = self._rng.random()

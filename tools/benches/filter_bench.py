@@ -126,18 +126,14 @@ def verdicts_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]
     return found
 
 
-def contenders(walk: Walk) -> list[Contender]:
-    """Return everything that is timed, with the kernels as they are in this process."""
-    return [
+def seconds_of(walk: Walk, rounds: int) -> dict[str, float]:
+    """Return the medians of everything timed, kernels as in this process, microseconds."""
+    contenders: list[Contender] = [
         lambda: filterpy_seconds(walk),
         lambda: {LOOP: step_seconds(walk, perf_counter)},
         lambda: object_seconds(walk),
     ]
-
-
-def seconds_of(walk: Walk, rounds: int) -> dict[str, float]:
-    """Return the medians of this process, microseconds."""
-    return timed({SYSTEM: contenders(walk)}, rounds)[SYSTEM]
+    return timed({SYSTEM: contenders}, rounds)[SYSTEM]
 
 
 def print_times(rounds: int) -> None:

@@ -55,7 +55,6 @@ PHASES = ("in step", "spread")
 PLACES = ("flying", "ground")
 RATE_HZ = 10.0
 LIMIT_MS = {"compiled": 10.0, "plain": 25.0}
-SECONDS = 60.0
 SEED = 7
 
 

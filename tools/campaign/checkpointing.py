@@ -43,24 +43,13 @@ class MemoryStore:
         del timeout_s
 
 
-class FlightClock:
-    """Clock of a shell that shows the flight's time."""
-
-    speed = 1.0
-
-    def __init__(self, flight: Flight) -> None:
-        self._flight = flight
-
-    def now_s(self) -> float:
-        """Return the invented time, s."""
-        return self._flight.now_s
-
-
 class Checkpointing(Observer):
-    """Observer that gives a flight's companion the services of its process.
+    """Observer that gives a flight's companion the services of its process, the clock among them.
 
     Each companion started resumes the previous one's checkpoint, unless it is too old.
     """
+
+    speed = 1.0
 
     def __init__(self, flight: Flight, max_age_s: float = MAX_AGE_S) -> None:
         self.store = MemoryStore()
@@ -75,10 +64,14 @@ class Checkpointing(Observer):
             flight.companion,
             self.store,
             flight.config,
-            FlightClock(flight),
+            self,
             self._max_age_s,
             moment=lambda: checkpoints.Moment(flight.now_s, "lockstep", flight.now_s),
         )
+
+    def now_s(self) -> float:
+        """Return the invented time, s."""
+        return self._flight.now_s
 
     def companion_started(self, now_s: float) -> None:
         """Handle the start of another process."""

@@ -98,7 +98,8 @@ class Case(Params, frozen=True):
     crossing_distance_m: Positive = 20.0
     """Crossing distance of reactive crossing. Paper: l."""
     stop_distance_m: NonNegative = 0.0
-    """Stopping distance of reactive crossing. Paper: eps_stop."""
+    """Stopping distance of reactive crossing; above zero it stops over its estimate and gains no
+    information. Paper: eps_stop."""
     latched: LatchedCrossingParams = LatchedCrossingParams()
     fim_headings: Annotated[int, msgspec.Meta(ge=3, le=360)] = HEADINGS
 

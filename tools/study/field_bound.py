@@ -199,10 +199,9 @@ def table(medians: dict[str, Matrix]) -> str:
 
 def plot(medians: dict[str, Matrix], path: Path) -> None:
     """Draw the error over both bounds along the flight, a line for each radio."""
-    from matplotlib.figure import Figure
+    from tools.study.reporting.plots import panels_of
 
-    figure = Figure(figsize=(8.0, 3.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, 2, sharex=True, sharey=True))
+    figure, (panels,) = panels_of(2, 2, 3.8, 3.25, sharex=True, sharey=True)
     names = ("bound without reflections", "linear bound with reflections")
     for column, (panel, name) in enumerate(zip(panels, names, strict=True), 1):
         for radio, found in medians.items():

@@ -28,6 +28,7 @@ from sim_link.fleet import load_scenario
 from sim_link.lab.lockstep import Flight, MemoryJournal
 from sim_link.lab.pool import sources_digest
 from tools.console import without_logs
+from tools.study.searched_area import box
 from tools.study.study import ConfigKind, FlightGrid, FlightRow, hint
 from tools.study.study_run import key_of
 
@@ -98,7 +99,7 @@ def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float)
     Lanes cover the square about home.
     """
     (east, north), planner = home, config.planner
-    area = tuple((east + e * reach_m, north + n * reach_m) for e, n in CORNERS)
+    area = box(east - reach_m, north - reach_m, east + reach_m, north + reach_m)
     made: PlannerConfig
     if kind in get_args(PatternKind):
         lanes = change(planner.pattern, area_enu_m=area, spacing_m=LANES_M)
@@ -107,9 +108,6 @@ def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float)
     else:
         made = change(planner, kind=kind)
     return change(config, mission=change(config.mission, engage="auto"), planner=made)
-
-
-CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:

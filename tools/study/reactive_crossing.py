@@ -15,21 +15,12 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import NonNegative, Params, Positive, Waypoint, WaypointReason
+from companion.domain import Waypoint, WaypointReason
 from companion.geometry.polygons import Point
 from companion.kernel import kernel
 from companion.planning.planner import Plan, PlanRequest, hold_position, kept_inside, route_to
 from companion.planning.views import direction
-
-
-class ReactiveCrossingParams(Params, frozen=True):
-    """Parameters of Algorithm 1, with the paper's values."""
-
-    step_m: Positive = 5.0
-    crossing_distance_m: Positive = 20.0
-    stop_distance_m: NonNegative = 0.0
-    """Threshold eps_stop; above zero the vehicle stops over its estimate and gains no
-    information."""
+from tools.study.case import Case
 
 
 @kernel
@@ -48,21 +39,21 @@ def reactive_step(
 
 
 class ReactiveCrossing:
-    """Algorithm 1 of the paper; it needs no memory."""
+    """Algorithm 1 of the paper with the parameters of a case; it needs no memory."""
 
     search_after_s: float | None = None
 
-    def __init__(self, params: ReactiveCrossingParams) -> None:
-        self.params = params
+    def __init__(self, case: Case) -> None:
+        self.case = case
 
     def plan(self, request: PlanRequest, memory: None) -> Plan[None]:
         """Return one step of the printed algorithm."""
         if request.estimate is None:
             return Plan(hold_position(request, "no estimate yet"), memory)
-        p, vehicle = self.params, request.vehicle_enu_m
+        case, vehicle = self.case, request.vehicle_enu_m
         estimate = request.estimate.position_enu_m
-        far_m, stop_m = p.crossing_distance_m, p.stop_distance_m
-        target = reactive_step(vehicle, estimate, p.step_m, far_m, stop_m)
+        far_m, stop_m = case.crossing_distance_m, case.stop_distance_m
+        target = reactive_step(vehicle, estimate, case.step_m, far_m, stop_m)
         if target == vehicle:
             return Plan(hold_position(request, "close to the estimate"), memory)
         target = kept_inside(target, vehicle, request)

@@ -93,7 +93,6 @@ class StoneSoup:
             sensors=set(), platforms={platform}, reward_function=self._reward
         )
         self._table = table
-        self._area: SearchedArea | None = None
 
     def goal(self, place: Point, area: SearchedArea) -> Point:
         """Return the end of the present move, or of the next one."""

@@ -40,7 +40,7 @@ from tools.study import walk
 from tools.study.admm_ekf import RECURSIVE, AdmmEkf
 from tools.study.case import Case, RunTruth, Scene
 from tools.study.metrics import r95_m
-from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from tools.study.reactive_crossing import ReactiveCrossing
 from tools.study.walk import WalkFilter, WalkSteering
 
 STEP_S = 1.0
@@ -275,13 +275,7 @@ def pilot_of(case: Case, system: System) -> Steer:
         case "passive":
             return steer_along(cases.track_of(case))
         case "reactive":
-            planner = ReactiveCrossing(
-                ReactiveCrossingParams(
-                    step_m=case.step_m,
-                    crossing_distance_m=case.crossing_distance_m,
-                    stop_distance_m=case.stop_distance_m,
-                )
-            )
+            planner = ReactiveCrossing(case)
         case "latched":
             planner = LatchedCrossing(case.latched)
         case "fim":

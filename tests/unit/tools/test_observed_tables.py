@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.contract.observed_rows import FLAVOURS, Row, Step, load_sheet
-from tools.release.observed_tables import different, same, table
+from tests.contract.observed_tables import different, same, table
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 from companion.io.files import write_bytes_atomic, write_text_atomic
@@ -14,22 +15,28 @@ MOST_ERROR = 0.03
 COLOURS: dict[Kind, str] = {"open": plots.LATCHED, "rubble": plots.PASSIVE, "walls": plots.FIM}
 
 
-def write_area_report(out: Path, trials: Sequence[Trial]) -> bool:
-    """Write reliability.csv and .png and print the table; return True within the limits."""
+def table_of_area(flown: Sequence[Sequence[Trial]]) -> tuple[str, bool]:
+    """Return the table of tenths of the stated probability as text, and True within the limits."""
+    trials = list(chain.from_iterable(flown))
     overall = reliability(trials)
-    by_kind = {kind: reliability(trials, kind) for kind in KINDS}
-    bins = [*overall, *(each for found in by_kind.values() for each in found)]
-    write_text_atomic(out / "reliability.csv", csv_of(bins))
-    write_bytes_atomic(out / "reliability.png", drawn(overall, by_kind))
-    print("stated POD   heard   error  +-, 95 %    cells")
+    lines = ["stated POD   heard   error  +-, 95 %    cells"]
     for each in overall:
         figures = f"{each.stated:10.3f}{each.heard:8.3f}{each.error:+8.3f}{1.96 * each.sigma:9.3f}"
-        print(f"{figures}{each.trials:10d}")
+        lines.append(f"{figures}{each.trials:10d}")
     stated, heard, flights = success(trials)
-    print(f"POS stated {stated:.3f}, emitters heard {heard:.3f}, of {flights} flights with one")
-    return all(abs(each.error) <= MOST_ERROR for each in overall) and (
-        abs(heard - stated) <= MOST_ERROR
+    lines.append(
+        f"POS stated {stated:.3f}, emitters heard {heard:.3f}, of {flights} flights with one"
     )
+    errors = [heard - stated, *(each.error for each in overall)]
+    return "\n".join(lines) + "\n", all(abs(error) <= MOST_ERROR for error in errors)
+
+
+def write_reliability(out: Path, flown: Sequence[Sequence[Trial]]) -> None:
+    """Write reliability.csv and .png."""
+    trials = list(chain.from_iterable(flown))
+    overall, by_kind = reliability(trials), {kind: reliability(trials, kind) for kind in KINDS}
+    write_text_atomic(out / "reliability.csv", csv_of(chain(overall, *by_kind.values())))
+    write_bytes_atomic(out / "reliability.png", drawn(overall, by_kind))
 
 
 def drawn(overall: Sequence[Bin], by_kind: Mapping[Kind, list[Bin]]) -> bytes:

@@ -151,7 +151,7 @@ def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
     """Return the error over R95 of every report, both relative, a panel for each radio."""
     radios = list(dict.fromkeys(row.radio for row in rows))
     with plots.look():
-        figure, grid = plots.panels(len(radios), min(3, len(radios)), 2.5, 2.4)
+        figure, grid = plots.panels_of(len(radios), min(3, len(radios)), 2.5, 2.4)
         for axes, radio in zip(grid.flat, radios, strict=False):
             for kind, colour in CONFIG_COLOURS.items():
                 own = [r for r in rows if (r.radio, r.config) == (radio, kind) and r.is_reported]

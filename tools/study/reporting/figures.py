@@ -34,14 +34,11 @@ NEAR_STEPS = 60
 def tracks(flights: Sequence[Flight], case: Case) -> Figure:
     """Return tracks with the estimates along them, one panel for each system."""
     columns = min(len(flights), 3 if len(flights) > 4 else 2)
-    rows = -(-len(flights) // columns)
-    side_in = 3.6 if columns < 3 else 3.0
-    figure = plots.new_figure(side_in * columns, (side_in + 0.15) * rows)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    side_in = 3.5 if columns < 3 else 2.9
+    shared = {"sharex": True, "sharey": True}
+    figure, grid = plots.panels_of(len(flights), columns, side_in, side_in, **shared)
     for axes, flight in zip(grid.flat, flights, strict=False):
         _draw_map(axes, flight, case)
-    for axes in grid.flat[len(flights) :]:
-        axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel("north, m")
     for axes in grid[-1]:

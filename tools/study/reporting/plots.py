@@ -20,6 +20,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -106,7 +107,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
 
 
-def panels(
+def panels_of(
     count: int, columns: int, width_in: float, height_in: float, **shared: Any
 ) -> tuple[Figure, Any]:
     """Return a figure with a grid of this number of axes, by row and column."""
@@ -225,7 +226,7 @@ def rmse(curves: Sequence[Curve], title: str, printed: dict[System, float]) -> F
     for system, value in printed.items():
         colour = PLANNER_COLOURS[system.planner]
         axes.plot([steps], [value], "D", color=colour, mfc="none", ms=5, clip_on=False, zorder=5)
-    _metre_axis(axes)
+    _set_ticks(axes.yaxis, METRE_TICKS)
     bounds = {curve.system.planner: curve for curve in reversed(curves) if curve.is_bound}
     named = [c for c in curves if not c.is_bound or bounds[c.system.planner] is c]
     _label_curves(figure, axes, named)
@@ -262,9 +263,7 @@ def _figure_of(curves: Sequence[Curve], title: str, ylabel: str) -> tuple[Figure
         )
     axes.set(xscale="log", xlim=(1, steps), xlabel="step", ylabel=ylabel)
     axes.set_title(title)
-    axes.xaxis.set_major_locator(FixedLocator([tick for tick in STEP_TICKS if tick <= steps]))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    _set_ticks(axes.xaxis, [tick for tick in STEP_TICKS if tick <= steps])
     return figure, axes, steps
 
 
@@ -286,7 +285,7 @@ def _label_curves(figure: Figure, axes: Axes, curves: Sequence[Curve]) -> None:
 def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     """Draw the final RMSE of each system over a parameter: ours, the paper's, and the bound."""
     columns = min(3, len(found))
-    figure, grid = panels(len(found), columns, 2.5, 2.15, sharex=True, sharey=True)
+    figure, grid = panels_of(len(found), columns, 2.5, 2.15, sharex=True, sharey=True)
     for axes, one in zip(grid.flat, found, strict=False):
         _draw_sensitivity(axes, *one)
     handles, names = grid[0, 0].get_legend_handles_labels()
@@ -300,11 +299,11 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     return figure
 
 
-def _metre_axis(axes: Axes) -> None:
-    """Set ticks at 1 and 3 of every decade, as plain numbers."""
-    axes.yaxis.set_major_locator(FixedLocator(METRE_TICKS))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+def _set_ticks(axis: Axis, places: Sequence[float]) -> None:
+    """Set ticks at these places alone, as plain numbers."""
+    axis.set_major_locator(FixedLocator(places))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 def _draw_sensitivity(axes: Axes, system: System, figures: Matrix) -> None:
@@ -317,7 +316,7 @@ def _draw_sensitivity(axes: Axes, system: System, figures: Matrix) -> None:
     axes.set_yscale("log")
     axes.set_title(system.label, fontsize=8.5)
     axes.set_xticks(values, [f"{value:g}" for value in values])
-    _metre_axis(axes)
+    _set_ticks(axes.yaxis, METRE_TICKS)
 
 
 def gradients(watches: Sequence[GradientWatch]) -> Figure:

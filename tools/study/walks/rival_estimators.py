@@ -22,6 +22,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.optimize import approx_fprime
 from scipy.optimize import least_squares as solve
 from stonesoup.models.measurement.nonlinear import NonLinearGaussianMeasurement
 from stonesoup.models.transition.linear import (
@@ -133,13 +134,6 @@ class Batch:
         return list(starts)
 
 
-def _jacobian(values: Callable[[Vector], Vector], state: Vector) -> Matrix:
-    """Return partial derivatives (m, 5) by central differences."""
-    steps = 1e-5 * np.eye(len(state))
-    columns = [(values(state + step) - values(state - step)) / 2e-5 for step in steps]
-    return np.stack(columns, axis=1)
-
-
 def _drawn(mean: Vector, covariance: Matrix, rng: np.random.Generator) -> Matrix:
     return rng.multivariate_normal(mean[:2], covariance[:2, :2], SAMPLES)
 
@@ -190,7 +184,7 @@ def _factor(batch: Batch, which: int) -> Callable[[Any, Any, Any], Vector]:
         """Return predicted minus measured in sigma, as GTSAM does, and fill in the Jacobian."""
         state = np.asarray(values.atVector(0), dtype=float)
         if jacobians is not None:
-            jacobians[0] = -_jacobian(lambda at: batch.residuals(at)[which], state)
+            jacobians[0] = -approx_fprime(state, lambda at: batch.residuals(at)[which])
         return -batch.residuals(state)[which]
 
     return error

@@ -73,6 +73,10 @@ class TestFromOutside:
         assert vehicles[-1] == pytest.approx((95.0, 20.0, 30.0), abs=0.01)
         assert steps[-1].reasons == ()
 
+    def test_from_a_setpoint_that_is_far_away_it_starts_again_at_the_vehicle(self) -> None:
+        step = GUARD.towards(GOAL, Guarded((0.0, 0.0, 30.0)), motion(OUT), DT_S)
+        assert step == Guarded(OUT, (GuardReason.OUTSIDE,))
+
     def test_it_takes_as_long_as_speed_and_acceleration_say(self) -> None:
         """105 m: 21 s at 5 m/s, and 2.5 s to speed up and brake; latency near the border."""
         steps, _ = come_in((200.0, 0.0, 30.0))

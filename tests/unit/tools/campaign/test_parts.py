@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from companion.mav.dialect import mavlink
 from sim_link.lab.faults.fault_models import KINDS
 from sim_link.lab.observer import Frame, Lane
 from tools.campaign.checkpointing import MemoryStore
-from tools.campaign.endurance import FrameMaker, Usage
+from tools.campaign.endurance import Usage, random_frames
 from tools.campaign.flights import Trial
 from tools.campaign.link_trials import Gaps, pauses_of
 from tools.campaign.process_trials import damages
@@ -80,10 +82,9 @@ def test_damage_reaches_every_byte_from_seed_to_seed() -> None:
 
 
 def test_random_frames_are_frames() -> None:
-    maker = FrameMaker(np.random.default_rng(1), None)
     reader = MavCodec(9, 9)
-    for _ in range(500):
-        reader.decode(maker.next())
+    for frame in itertools.islice(random_frames(np.random.default_rng(1), None), 500):
+        reader.decode(frame)
     assert reader.counters.good == 500
     assert reader.counters.bad_crc == 0
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from companion.domain import EstimateState, TargetEstimate, WaypointReason
 from companion.geometry.polygons import Point
 from companion.planning.planner import PlanRequest
-from tools.study.reactive_crossing import ReactiveCrossing, ReactiveCrossingParams
+from tools.study.case import Case
+from tools.study.reactive_crossing import ReactiveCrossing
 
 places = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
 
@@ -21,9 +22,9 @@ def _target_at(position_enu_m: Point) -> TargetEstimate:
     )
 
 
-def _next(params: ReactiveCrossingParams, vehicle: Point, target: Point) -> Point:
+def _next(case: Case, vehicle: Point, target: Point) -> Point:
     request = PlanRequest(vehicle, _target_at(target))
-    return ReactiveCrossing(params).plan(request, None).waypoint.position_enu_m
+    return ReactiveCrossing(case).plan(request, None).waypoint.position_enu_m
 
 
 @settings(deadline=None)
@@ -32,8 +33,8 @@ def test_the_crossing_distance_as_printed_has_no_effect(
     vehicle: Point, target: Point, one_m: float, other_m: float
 ) -> None:
     assume(math.dist(vehicle, target) > 1e-3)
-    one = _next(ReactiveCrossingParams(crossing_distance_m=one_m), vehicle, target)
-    other = _next(ReactiveCrossingParams(crossing_distance_m=other_m), vehicle, target)
+    one = _next(Case(crossing_distance_m=one_m), vehicle, target)
+    other = _next(Case(crossing_distance_m=other_m), vehicle, target)
     assert one == pytest.approx(other, abs=1e-7)
 
 
@@ -44,18 +45,18 @@ def test_each_step_flies_at_the_estimate_by_the_step_length(
 ) -> None:
     distance_m = math.dist(vehicle, target)
     assume(distance_m > 1e-3)
-    there = _next(ReactiveCrossingParams(step_m=step_m), vehicle, target)
+    there = _next(Case(step_m=step_m), vehicle, target)
     assert math.dist(vehicle, there) == pytest.approx(step_m, rel=1e-9)
     assert math.dist(there, target) == pytest.approx(abs(distance_m - step_m), abs=1e-7)
 
 
 def test_it_crosses_by_overshooting_less_than_a_step() -> None:
-    assert _next(ReactiveCrossingParams(), (7.0, 0.0), (10.0, 0.0)) == pytest.approx((12.0, 0.0))
+    assert _next(Case(), (7.0, 0.0), (10.0, 0.0)) == pytest.approx((12.0, 0.0))
 
 
 @pytest.mark.parametrize(("distance_m", "reason"), [(2.4, "hold"), (2.5, "crossing")])
 def test_it_parks_closer_than_the_stop_distance(distance_m: float, reason: str) -> None:
-    planner = ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=2.5))
+    planner = ReactiveCrossing(Case(stop_distance_m=2.5))
     vehicle = (10.0 - distance_m, 0.0)
     waypoint = planner.plan(PlanRequest(vehicle, _target_at((10.0, 0.0))), None).waypoint
     assert waypoint.reason is WaypointReason(reason)
@@ -63,7 +64,7 @@ def test_it_parks_closer_than_the_stop_distance(distance_m: float, reason: str) 
 
 
 def test_parking_outside_the_fence_is_parking_inside() -> None:
-    planner = ReactiveCrossing(ReactiveCrossingParams(stop_distance_m=10.0))
+    planner = ReactiveCrossing(Case(stop_distance_m=10.0))
     square = ((-20.0, -20.0), (20.0, -20.0), (20.0, 20.0), (-20.0, 20.0))
     request = PlanRequest((25.0, 0.0), _target_at((26.0, 0.0)), square, 3.0)
     east, north = planner.plan(request, None).waypoint.position_enu_m
@@ -72,6 +73,6 @@ def test_parking_outside_the_fence_is_parking_inside() -> None:
 
 
 def test_without_an_estimate_it_holds() -> None:
-    plan = ReactiveCrossing(ReactiveCrossingParams()).plan(PlanRequest((3.0, 4.0)), None)
+    plan = ReactiveCrossing(Case()).plan(PlanRequest((3.0, 4.0)), None)
     assert plan.waypoint.position_enu_m == (3.0, 4.0)
     assert plan.waypoint.reason is WaypointReason.HOLD

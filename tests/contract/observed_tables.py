@@ -47,7 +47,8 @@ def main() -> int:
     """Print common and differing behaviour of each autopilot and the simulator."""
     argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     sheets = [load_sheet(flavour) for flavour in FLAVOURS]
-    print(*(text for sheet in sheets for text in (same(sheet), different(sheet))), sep="\n\n")
+    texts = [text for sheet in sheets for text in (same(sheet), different(sheet))]
+    sys.stdout.write("\n\n".join(texts) + "\n")
     return 0
 
 
