@@ -51,7 +51,8 @@ from companion.kernel import Matrix, Vector
 MIN_DIRECTIONS = 40
 """Fewest directions for a comparison of antennas, or for a test of the configured one.
 
-Chosen: 4 s of a radio of 10 Hz. More decide later, of fewer the mean error is known worse.
+4 s of a radio of 10 Hz: of as many the mean error is known to a sixth. With 20, flights of a planar
+array end alike.
 """
 
 Candidate = Literal["azimuth", "planar", "line"]

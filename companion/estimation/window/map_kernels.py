@@ -57,8 +57,8 @@ POWER_VALUE, POWER_SIGMA, POWER_WEIGHT = -3, -2, -1
 MAX_ITERATIONS = 25
 """Gauss-Newton steps of a solution at most.
 
-Chosen: the steps of one solution bound its time; what has not ended by then starts again from there
-with the next one.
+The steps of one solution bound its time; what has not ended by then starts again from there with
+the next one.
 """
 DAMPING_START = 1e-3
 """Initial damping, relative to the diagonal: hardly any; it grows where a step gains nothing."""

@@ -172,7 +172,8 @@ def log_erfc(x: float) -> float:
 COLLINEAR_RATIO = 0.05
 """Spread of a track across over its spread along, below which it is a line.
 
-Chosen: 5 m on 100 m; more calls a bend a line, less a line with position errors a bend.
+5 m on 100 m: more calls a bend a line, less a line with position errors a bend. It is shown, and
+changes no estimate.
 """
 
 
