@@ -62,9 +62,6 @@ SEED = 7
 class TickCost:
     """Cost of one case, in milliseconds of the thread."""
 
-    emitters: int
-    phase: str
-    place: str
     kernels: str
     tick_worst_ms: float
     tick_p99_ms: float
@@ -179,9 +176,6 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
     ticks_ms = sorted(1e3 * took_s for took_s in timed.ticks_s)
     accepted = sum(t.accepted for t in flight.companion.session.context.emitters.trackers)
     return TickCost(
-        emitters,
-        phase,
-        place,
         "compiled" if IS_COMPILED else "plain",
         round(ticks_ms[-1], 2),
         round(ticks_ms[int(0.99 * len(ticks_ms))], 2),

@@ -138,13 +138,6 @@ def mover_of(name: Name, spacing_m: float, model: DetectionModel) -> Mover:
             return StoneSoup(spacing_m, table)
 
 
-def poa_of(kind: Poa, rng: np.random.Generator) -> SearchGrid:
-    """Return an even POA over the square, or polygons of equal size with 70, 20 and 10 %."""
-    if kind == "even":
-        return even_poa(SIDE_M)
-    return uneven_poa(SIDE_M, rng, is_turned=bool(rng.random() < 0.5))
-
-
 def flown(mover: Mover, grid: SearchGrid, model: DetectionModel, length_s: float) -> Array:
     """Return (points, 3) positions, one a step."""
     area = SearchedArea(grid, model)
@@ -177,7 +170,9 @@ def fly_planners(number: int, seed: int) -> list[SearchTimes]:
     for index, poa in enumerate(POAS):
         rng = np.random.default_rng([seed, number, index])
         world, model = draw_world(rng)
-        grid = poa_of(poa, rng)
+        grid = even_poa(SIDE_M)
+        if poa == "uneven":
+            grid = uneven_poa(SIDE_M, rng, is_turned=bool(rng.random() < 0.5))
         spacing_m = model.reach_m * float(rng.uniform(0.5, 1.5))
         cells = rng.choice(len(grid.poa), EMITTERS, p=grid.poa)
         emitters = grid.centres_enu_m[cells] + rng.uniform(-0.5, 0.5, (EMITTERS, 2)) * grid.cell_m

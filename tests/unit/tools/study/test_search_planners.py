@@ -18,16 +18,16 @@ from tools.study.search_planners import (
     SearchTimes,
     flown,
     mover_of,
-    poa_of,
     table_of,
 )
+from tools.study.searched_area import uneven_poa
 
 MODEL = DetectionModel(reach_m=90.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_planner_keeps_to_fence_and_speed(name: Name) -> None:
-    grid = poa_of("uneven", np.random.default_rng(3))
+    grid = uneven_poa(FENCE[2][0], np.random.default_rng(3), is_turned=True)
     track = flown(mover_of(name, 90.0, MODEL), grid, MODEL, 150.0)
     assert np.hypot(*np.diff(track[:, :2], axis=0).T).max() <= SPEED_MPS * STEP_S + 1e-9
     assert track[:, :2].min() >= 0.0
