@@ -231,6 +231,9 @@ class UnitCheck:
         residual2 = tried.residual2(factor) / tried.count
         cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
         cost += self._offset_cost(tried.range_m / factor - tried.distance_m)
+        # m; without this limit 1 of 44 flights of the field held again and again for a wrong unit
+        is_too_noisy = np.sqrt(residual2) / factor > 40.0
+        cost[is_too_noisy & (factor != 1.0)] = math.inf
         return cost
 
     def _offset_cost(self, offset_m: Matrix) -> Matrix:

@@ -12,7 +12,14 @@ import pytest
 from companion.domain import PositionEnu
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.screen import SampleHistory
-from companion.estimation.unit_check import RANGES, Sample, UnitCheck
+from companion.estimation.unit_check import (
+    DECISION_LOG_ODDS,
+    FACTORS,
+    RANGES,
+    Sample,
+    UnitCheck,
+    _Window,
+)
 
 MAX_RANGE_M = 2000.0
 RATE_HZ = 10.0
@@ -162,6 +169,17 @@ def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
     for sample in samples[2 * third :]:
         history.add(sample)
     assert not history.check.is_rejected
+
+
+def test_ranges_that_scatter_like_no_radio_in_another_unit_are_in_metres() -> None:
+    """Reflections of 3 m would be 170 m at least, which no motion explains better."""
+    rng = np.random.default_rng(7)
+    history = _history()
+    check = history.check
+    assert isinstance(check, UnitCheck)
+    places = np.array([(0.3 * i, 0.0, 20.0) for i in range(30)])
+    window = _Window(30.0 + 3.0 * rng.normal(size=30), places)
+    assert check._likeliest(window, FACTORS, DECISION_LOG_ODDS)[1] == -math.inf
 
 
 def test_hovering_does_not_acquit() -> None:
