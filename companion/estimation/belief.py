@@ -1,9 +1,9 @@
 """Checkpoint of a tracker's belief as plain values, and the restart from it.
 
 A belief is the set of hypotheses as a mixture of Gaussians. It does not contain the measurements:
-after a restart they cannot be re-weighted, and the covariances grow with the age of the checkpoint
-by a random walk, for a target or a local frame that drifted meanwhile. A belief that was wrong
-altogether is discarded like any other one: the measurements contradict it.
+after a restart they cannot be re-weighted, so the covariances are inflated instead, and grow with
+the age of the checkpoint by a random walk, for a target or a local frame that drifted meanwhile. A
+belief that was wrong altogether is discarded like any other one: the measurements contradict it.
 
 Everything that is read from a disk is validated first, see `Belief.problem`.
 """
@@ -23,6 +23,11 @@ from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
 from companion.estimation.window.map_kernels import OlderEvidence
 from companion.kernel import Matrix
 
+RESTORED_VARIANCE_FACTOR = 2.0
+"""Factor on every variance of a restored belief: standard deviations grow by 1.4.
+
+Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
+"""
 MAX_COORDINATE_M = 1e5
 """Largest coordinate in the local frame, and standard deviation, that is accepted from a file,
 metres: 100 km, as of the vehicle."""
@@ -93,13 +98,13 @@ def belief_of(
 def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
-    """Return the hypotheses of a belief of this age, which makes their covariances grow."""
+    """Return the hypotheses of a belief of this age, with inflated covariances."""
     # sigma sqrt(2 / tau) of the process in `shared_errors`, for a sigma of 0.9 m
     drift_m_per_sqrt_s = 0.1
     walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
     for place in belief.places:
-        P = np.array(place.covariance)
+        P = RESTORED_VARIANCE_FACTOR * np.array(place.covariance)
         P[:2, :2] += walk**2 * max(age_s, 0.0) * np.eye(2)
         state = FilterState.of(now_s, np.array(place.mean), P)
         hypotheses.append(Hypothesis(place.log_weight, state))

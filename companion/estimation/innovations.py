@@ -43,7 +43,6 @@ from companion.estimation.filters.target_filter import (
 from companion.estimation.hypotheses import AMBIGUOUS_PROBABILITY, Hypothesis
 from companion.estimation.measurement_model import AZIMUTH, COSINES, MODALITIES
 from companion.estimation.screen import RejectReason
-from companion.estimation.window.map_kernels import WINDOW_SIZE
 from companion.estimation.window.rivals import Observability
 from companion.estimation.window.sandwich import (
     MAX_CORRELATION,
@@ -201,9 +200,10 @@ def log_likelihood(
     return total
 
 
-FORGETTING = 1.0 - 1.0 / WINDOW_SIZE
-"""Forgetting factor of noise and NIS: a memory as long as the window's. With 150 measurements R95
-of recorded walks changes by up to 3 %, with all of them by less than 1 %.
+NOISE_FORGETTING = 1.0 - 1.0 / 300.0
+"""Forgetting factor of the noise monitor: a memory of 300 measurements. A longer one knows the
+noise better, and follows it later: with 150 R95 of recorded walks changes by up to 3 %, with 600 or
+all of them by less than 1 %.
 """
 PRIOR_COUNT = 8.0
 """Weight of the monitor's prior, in measurements: less lets the first innovations decide, more
@@ -243,13 +243,13 @@ class NoiseMonitor:
         has_pair = self.previous is not None
         return NoiseMonitor(
             initial_inflation=self.initial_inflation,
-            count=FORGETTING * self.count + 1.0,
-            weight_sum=FORGETTING * self.weight_sum + (influence / u if u != 0.0 else 1.0),
-            influence_sum=FORGETTING * self.influence_sum + influence,
-            influence2_sum=FORGETTING * self.influence2_sum + influence * influence,
-            slope_sum=FORGETTING * self.slope_sum + (1.0 if influence == u else 0.0),
-            pair_count=FORGETTING * self.pair_count + has_pair,
-            lag_sum=FORGETTING * self.lag_sum + influence * (self.previous or 0.0),
+            count=NOISE_FORGETTING * self.count + 1.0,
+            weight_sum=NOISE_FORGETTING * self.weight_sum + (influence / u if u != 0.0 else 1.0),
+            influence_sum=NOISE_FORGETTING * self.influence_sum + influence,
+            influence2_sum=NOISE_FORGETTING * self.influence2_sum + influence * influence,
+            slope_sum=NOISE_FORGETTING * self.slope_sum + (1.0 if influence == u else 0.0),
+            pair_count=NOISE_FORGETTING * self.pair_count + has_pair,
+            lag_sum=NOISE_FORGETTING * self.lag_sum + influence * (self.previous or 0.0),
             previous=influence,
         )
 
@@ -357,10 +357,11 @@ class InnovationNoise:
             else:
                 monitors.append(monitor.after(row.whitened_innovation, k_long, k_short))
         dof = sum([row is not None for row in report.modalities])
+        kept = 1.0 - 1.0 / 200.0  # a memory of 200 measurements: the band of their mean is +-20 %
         return InnovationNoise(
             (*monitors, *self.monitors[len(monitors) :]),  # a report without power has fewer rows
-            FORGETTING * self.dof + dof,
-            FORGETTING * self.nis_sum + report.nis,
+            kept * self.dof + dof,
+            kept * self.nis_sum + report.nis,
             self.found,
         )
 

@@ -30,13 +30,7 @@ import numpy as np
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
 from companion.estimation.stepwise import Steps, Stepwise, passes
-from companion.estimation.window.map_kernels import (
-    SEQUENCE,
-    SIGMAS,
-    VALUES,
-    WINDOW_SIZE,
-    hold_at_bounds,
-)
+from companion.estimation.window.map_kernels import SEQUENCE, SIGMAS, VALUES, hold_at_bounds
 from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO
 from companion.estimation.window.sandwich import (
     Scores,
@@ -92,10 +86,11 @@ class MotionWatch:
         self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
         self._near_m = 3.0 * localised_r95_m
         """R95 up to which the target is tested; a vaguer one shows nothing."""
-        self.fresh: deque[Vector] = deque(maxlen=WINDOW_SIZE)
+        most = 512  # a longest span of 40 s at 12 Hz, and as many as a window has
+        self.fresh: deque[Vector] = deque(maxlen=most)
         """Measurements since the test was last due by time, in rows of `map_kernels` that have
         their time in place of the sequence number."""
-        self._rows: deque[Vector] = deque(maxlen=WINDOW_SIZE)
+        self._rows: deque[Vector] = deque(maxlen=most)
         self.due_s = -math.inf
         """Time of the next test, if enough measurements were made until then."""
         self._left = 0

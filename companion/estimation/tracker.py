@@ -344,7 +344,7 @@ class TargetTracker:
         return belief_of(self.hypotheses, self.emitter_id, self.accepted, self.own, self.raised_m)
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
-        """Restore a checkpoint, as vague as its age makes it; return why if it cannot be used."""
+        """Restore a checkpoint with inflated covariances; return why if it cannot be used."""
         sizes = {len(place.mean) for place in belief.places}
         if sizes == {len(self.params.with_power.filter.prior[0])}:
             self._set_up(self.params.with_power)

@@ -54,8 +54,6 @@ POWER_COLUMNS = 3
 POWER_VALUE, POWER_SIGMA, POWER_WEIGHT = -3, -2, -1
 """Number and positions of the columns of power, counted from the end."""
 
-WINDOW_SIZE = 512
-"""Measurements of a window: a solution takes time in proportion."""
 MAX_ITERATIONS = 25
 """Gauss-Newton steps of a solution at most.
 

@@ -46,7 +46,6 @@ from companion.estimation.window.map_kernels import (
     has_any,
 )
 from companion.estimation.window.rivals import (
-    IMPROBABLE_LOG_RATIO,
     Observability,
     Optimum,
     mirrored,
@@ -276,7 +275,7 @@ class WindowOptimizer:
         if len(self.window.rows) < MIN_MEASUREMENTS or not hypotheses:
             return hypotheses
         if fresh_starts is None:
-            fresh_starts = self._fresh_starts(accepted)
+            fresh_starts = self._fresh_starts(len(hypotheses), accepted)
         if self._filter_params.model.power_index >= 0:
             self.window.rows[:, POWER_WEIGHT] = shadow_weights(self.window.rows)
         self.map.set_bearing_inflation(inflation)
@@ -382,12 +381,14 @@ class WindowOptimizer:
         rows = self.rows
         return observability_of(rows, self.map.scores(rows, mean))
 
-    def _fresh_starts(self, accepted: int) -> int:
-        """Return 1 if a fresh start is due; early solutions in between have none."""
+    def _fresh_starts(self, hypotheses: int, accepted: int) -> int:
+        """Return how many fresh starts are due; early solutions in between have none."""
         if accepted < self._fresh_at:
             return 0
         self._fresh_at = accepted + self._params.every
-        return 1
+        # 300 are 12 full solutions of 25 measurements, with 48 starts: every direction four times
+        is_settled = hypotheses == 1 and accepted > 300
+        return 1 if is_settled else 4
 
     def _starts(self, hypotheses: Sequence[Hypothesis], fresh: int) -> list[Vector]:
         """Return the hypotheses, the best one's mirror image, and positions around the path."""
@@ -427,6 +428,4 @@ class WindowOptimizer:
             return False
         difference = alone[0].mean[:2] - best[:2]
         spread = alone[0].covariance[:2, :2]
-        # chi-square with 2 degrees of freedom, as improbable as a rival that is dropped
-        chi2 = float(difference @ np.linalg.solve(spread, difference))
-        return chi2 > -2.0 * IMPROBABLE_LOG_RATIO
+        return float(difference @ np.linalg.solve(spread, difference)) > 4.0**2  # 4 sigma

@@ -56,7 +56,6 @@ from companion.estimation.window.map_kernels import (
     DAMPING_START,
     MAX_ITERATIONS,
     POWER_WEIGHT,
-    WINDOW_SIZE,
     OlderEvidence,
     clipped,
     map_cost,
@@ -107,7 +106,7 @@ class WindowParams(Params, frozen=True):
 
     enabled: bool = True
     """True: the filter is checked and corrected by the window."""
-    size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = WINDOW_SIZE
+    size: Annotated[int, msgspec.Meta(ge=32, le=4096)] = 512
     every: Annotated[int, msgspec.Meta(ge=1)] = 25
     starts: Annotated[int, msgspec.Meta(ge=1, le=64)] = 12
     """Directions of the fresh starts around the path."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.domain import DEFAULT_ACCURACY, EstimateState, PositionAccuracy
-from companion.estimation.belief import Belief, StoredHypothesis
+from companion.estimation.belief import RESTORED_VARIANCE_FACTOR, Belief, StoredHypothesis
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.kernel import Matrix
@@ -50,7 +50,7 @@ def test_a_belief_comes_back_with_doubt_that_grows_with_its_age() -> None:
         state = tracker.hypotheses[0].state
         assert state.time_s == 7.0
         assert tuple(state.mean) == belief.places[0].mean
-        grown = state.covariance - before
+        grown = state.covariance - RESTORED_VARIANCE_FACTOR * before
         assert grown[:2, :2] == pytest.approx(np.eye(2) * 0.01 * age_s)
         assert grown[2:, 2:] == pytest.approx(0.0)
         assert tracker.emitter_id == 1

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from companion.estimation.innovations import (
-    FORGETTING,
     MAX_INFLATION,
+    NOISE_FORGETTING,
     PRIOR_COUNT,
     NoiseMonitor,
 )
@@ -69,7 +69,7 @@ def test_it_is_the_sandwich_of_contaminated_noise() -> None:
     rng = np.random.default_rng(4)
     u = np.where(rng.random(900) < 0.7, rng.exponential(5.0, 900), 0.0) + rng.normal(size=900)
     psi = np.minimum(u, K)
-    age = FORGETTING ** np.arange(900)[::-1]
+    age = NOISE_FORGETTING ** np.arange(900)[::-1]
     count = age.sum()
     believed = count + PRIOR_COUNT
     mean_weight = ((age * psi / u).sum() + PRIOR_COUNT) / believed
@@ -85,7 +85,7 @@ def test_it_is_the_sandwich_of_contaminated_noise() -> None:
 
 def test_repetition_is_that_of_the_lag_one_correlation() -> None:
     psi = np.clip(_repeating(np.random.default_rng(4), 0.5, 900), -K, K)
-    age = FORGETTING ** np.arange(900)[::-1]
+    age = NOISE_FORGETTING ** np.arange(900)[::-1]
     mean_psi = (age * psi).sum() / age.sum()
     variance = (age * psi**2).sum() / age.sum() - mean_psi**2
     lag = (age[1:] * psi[1:] * psi[:-1]).sum() / age[1:].sum()
