@@ -26,7 +26,13 @@ COMMANDS = {
     "sim-link proxy": (["sim_link", "proxy", "--help"], 0),
     "companion-conformance": (["sim_link.lab.conformance", "--list"], 0),
 }
-TOOLS = sorted(path for path in (ROOT / "tools").rglob("*.py") if "__main__" in path.read_text())
+WORKERS = {"listeners", "tick_bench"}
+"""A bench starts them and reads all that they write; `listeners` imports nothing of the project."""
+TOOLS = sorted(
+    path
+    for path in (ROOT / "tools").rglob("*.py")
+    if "__main__" in path.read_text() and path.stem not in WORKERS
+)
 MISSION = "name: same\nsteps: [connect]\n"
 FAILING = MISSION + "expectations: [{name: late, time_s: {at_least: 999}}]\n"
 
