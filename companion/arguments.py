@@ -19,8 +19,7 @@ FieldTestName = Literal["turn", "line", "circle", "blocked"]
 TEST_NAMES: tuple[FieldTestName, ...] = get_args(FieldTestName)
 MAX_SECONDS = 300.0
 MAX_SPEED = 50.0
-"""Largest speed of the clock: beyond it a hiccup of the computer exceeds the autopilot's
-time-outs."""
+"""Largest speed of the clock: beyond it, a hiccup exceeds the autopilot's time-outs."""
 
 DESCRIPTION = """\
 Find a radio emitter with a UAV: estimate it from ranging messages, fly crossings over the

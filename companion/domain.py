@@ -24,6 +24,8 @@ from companion.geometry.polygons import Point as Point
 MOST = 1e6
 """Greatest configured length, time, speed or ratio in its unit; the product of any four still fits
 the float32 of a parameter or an estimate on the wire."""
+MAX_COORDINATE_M = 1e5
+"""Limit of coordinates in the local frame, and of an estimate's standard deviation: 100 km."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MOST)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
 

@@ -80,6 +80,7 @@ def traced_paths() -> tuple[list[TracedPath], list[TracedPath]]:
     datagrams, ticks = list[TracedPath](), list[TracedPath]()
 
     def traced_receive(chunk: Chunk, now_s: float) -> None:
+        """Receive a datagram, traced if it holds a range."""
         if message_id(chunk.data) != MAVLink_radio_ranging_message.id:
             receive(chunk, now_s)
             return
@@ -87,6 +88,7 @@ def traced_paths() -> tuple[list[TracedPath], list[TracedPath]]:
         datagrams[-1].trace(receive, chunk, now_s)
 
     def traced_handle(now_s: float) -> None:
+        """Handle the timer; keep the path if it was a control tick."""
         path, before = TracedPath(), endpoint.ticks
         path.trace(handle, now_s)
         if endpoint.ticks > before:

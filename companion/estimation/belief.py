@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.domain import PositionAccuracy
+from companion.domain import MAX_COORDINATE_M, PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams, FilterState
-from companion.estimation.hypotheses import RING_COUNT, Hypothesis
+from companion.estimation.hypotheses import Hypothesis
 from companion.estimation.measurement_model import BEARING_OFFSET, RANGE_OFFSET
 from companion.estimation.window.map_kernels import OlderEvidence
 from companion.kernel import Matrix
@@ -28,9 +28,8 @@ RESTORED_VARIANCE_FACTOR = 2.0
 
 Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
 """
-MAX_COORDINATE_M = 1e5
-"""Largest coordinate in the local frame, and standard deviation, that is accepted from a file,
-metres: 100 km, as of the vehicle."""
+MAX_PLACES = 32
+"""Most hypotheses of a checkpoint; a tracker begins with 24, on the ring of a first range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class Belief:
 
     def problem(self, size: int) -> str | None:
         """Return why a tracker with a state of `size` components cannot start from it, or None."""
-        if not 0 < len(self.places) <= RING_COUNT:  # most that a tracker begins with
+        if not 0 < len(self.places) <= MAX_PLACES:
             return f"{len(self.places)} hypotheses"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
@@ -90,7 +89,7 @@ def belief_of(
             tuple(hypothesis.state.mean.tolist()),
             tuple(tuple(row) for row in _widest(hypothesis).tolist()),
         )
-        for hypothesis in hypotheses[:RING_COUNT]
+        for hypothesis in hypotheses[:MAX_PLACES]
     )
     return Belief(emitter_id, measurements, places, own, raised_m)
 
@@ -99,8 +98,7 @@ def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses of a belief of this age, with inflated covariances."""
-    # sigma sqrt(2 / tau) of the process in `shared_errors`, for a sigma of 0.9 m
-    drift_m_per_sqrt_s = 0.1
+    drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, as far as a local frame drifts meanwhile
     walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
     for place in belief.places:

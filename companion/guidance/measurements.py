@@ -88,6 +88,7 @@ class FusionQueue:
         """Drop the oldest measurement of the longest queue that is not begun."""
 
         def waiting(key: int) -> int:
+            """Return how many measurements of a queue are not begun."""
             return len(self.by_emitter[key]) - (key in self._begun)
 
         longest = max(self.by_emitter, key=waiting)

@@ -147,6 +147,7 @@ class VehicleTrack:
             return None
 
         def between(one: float, other: float) -> float:
+            """Return the angle at the time asked for, rad, linear between two."""
             return wrap_pi(one + wrap_pi(other - one) * (time_s - t0) / (t1 - t0))
 
         tilt_rad = None

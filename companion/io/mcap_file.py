@@ -243,10 +243,12 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
         numbers[topic] = writer.register_channel(topic, channel.message_encoding, number)
 
     def write(message: Message) -> None:
+        """Write one message to its channel."""
         topic, data, stamp_ns = message
         writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
 
     def finish() -> None:
+        """Write the summary, and close the file."""
         writer.finish()  # type: ignore[no-untyped-call]
         file.close()
 

@@ -130,6 +130,7 @@ def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
     def mission(
         script: str, seed: object = 0, autopilot: object = None
     ) -> tuple[str, object, object]:
+        """Return the arguments of the marker, as Python binds them."""
         return script, seed, autopilot
 
     mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
@@ -210,6 +211,7 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
         autopilot: object = None,
         speed: object = None,
     ) -> dict[str, object]:
+        """Return the arguments of the marker by their names."""
         path = None if scenario is None else folder / str(scenario)
         return {"scenario": path, "seed": seed, "autopilot": autopilot, "speed": speed}
 

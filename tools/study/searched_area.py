@@ -191,6 +191,7 @@ def _fading_db(rice_k: float, shape: tuple[int, int], rng: np.random.Generator) 
     """Draw the power about its median, dB."""
 
     def power(size: tuple[int, ...]) -> Array:
+        """Draw powers of Rician fading, with a scattered power of 2."""
         in_phase = math.sqrt(2.0 * rice_k) + rng.standard_normal(size)
         return in_phase**2 + rng.standard_normal(size) ** 2
 

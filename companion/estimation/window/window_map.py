@@ -34,8 +34,7 @@ import msgspec
 import numpy as np
 import numpy.ma  # the first np.median would load it: 30 ms that a flight must not wait
 
-from companion.domain import Params
-from companion.estimation.belief import MAX_COORDINATE_M
+from companion.domain import MAX_COORDINATE_M, Params
 from companion.estimation.filters.target_filter import FilterParams, Inflation
 from companion.estimation.innovations import GATE_SIGMAS
 from companion.estimation.measurement_model import (

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from companion.domain import PositionEnu
+from companion.domain import MAX_COORDINATE_M, PositionEnu
 from companion.geometry.coordinates import LocalOrigin, Projection
 
 PAIR_SIGMA_M = 0.05
@@ -36,8 +36,6 @@ FARTHEST_OFF_M = 200.0
 """Difference beyond which the positions are in different frames, and nothing is fitted."""
 MAX_GAP_S = 0.3
 """Longest interval of local positions over which one is interpolated."""
-MAX_COORDINATE_M = 1e5
-"""Limit of local coordinates."""
 
 
 @dataclass(slots=True)

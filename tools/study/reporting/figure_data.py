@@ -112,6 +112,7 @@ def shadow_quads(corners: Sequence[Point], target_enu_m: Point) -> list[list[Poi
     target = np.array(target_enu_m)
 
     def beyond(corner: Point) -> Point:
+        """Return the point far behind a corner, as seen from the target."""
         away = np.subtract(corner, target)
         east_m, north_m = corner + FAR_M / max(np.hypot(*away), 1e-6) * away
         return float(east_m), float(north_m)

@@ -117,6 +117,7 @@ def choices(results: Mapping[Job, list[TargetClaims]]) -> list[str]:
         others = {j.path for j in results if name_of_preset(j.path) == preset} - {left_out}
 
         def on_the_others(variant: Variant, others: set[Path] = others) -> tuple[float, float]:
+            """Return the rank of a variant on the files that are not left out."""
             return rank([t for path in others for t in results[Job(path, variant)]])
 
         best = min(variants_of(preset), key=on_the_others)

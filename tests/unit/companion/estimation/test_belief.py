@@ -110,7 +110,7 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
     ("places", "problem"),
     [
         ((), "0 hypotheses"),
-        ((GOOD,) * 25, "25 hypotheses"),
+        ((GOOD,) * 33, "33 hypotheses"),
         ((replace(GOOD, mean=(1.0, 2.0)),), "another size"),
         ((replace(GOOD, covariance=GOOD.covariance[:3]),), "another size"),
         ((with_row((1.0,)),), "another size"),

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,52 +16,20 @@ from companion.mav.codec import (
     sender_of,
     without_signature,
 )
-from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
+from companion.mav.dialect import Message, mavlink
+from tests.unit.companion.mav.framing_helpers import (
+    GOOD,
+    heartbeat,
+    heartbeat_v1,
+    in_datagram,
+    position,
+    ranging,
+    splitter,
+    unknown,
+    with_header,
+)
 
 LONGEST_FRAME = 280
-
-
-def heartbeat(mark: int = 1) -> bytes:
-    return MavCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, mark, 4, 3))
-
-
-def position(time_boot_ms: int = 1) -> bytes:
-    return MavCodec(1, 1).encode(
-        mavlink.MAVLink_local_position_ned_message(time_boot_ms, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3)
-    )
-
-
-def ranging() -> bytes:
-    return MavCodec(1, 1).encode(
-        MAVLink_radio_ranging_message(9, 80.0, 3.0, math.nan, 0.1, 0.0, 0.1, 7, 100, 5)
-    )
-
-
-def heartbeat_v1(mark: int = 1) -> bytes:
-    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    message = mavlink.MAVLink_heartbeat_message(2, 12, 0, mark, 4, 3)
-    return bytes(message.pack(mav, force_mavlink1=True))
-
-
-def with_header(frame: bytes, index: int, value: int) -> bytes:
-    """The frame with one header byte changed and the CRC right again."""
-    changed = bytearray(frame)
-    changed[index] = value
-    changed[-2:] = frame_crc(bytes(changed), CRC_EXTRA_BY_ID[message_id(frame)]).to_bytes(
-        2, "little"
-    )
-    return bytes(changed)
-
-
-def splitter() -> FrameSplitter:
-    return FrameSplitter(CRC_EXTRA_BY_ID)
-
-
-def in_datagram(data: bytes) -> list[bytes]:
-    return splitter().split(data, is_datagram=True)
-
-
-GOOD = (heartbeat(), position(), ranging(), heartbeat_v1())
 
 
 @pytest.mark.parametrize("frame", GOOD)
@@ -347,124 +313,6 @@ def test_where_a_frame_ends_is_in_its_header(frame: bytes, junk: bytes) -> None:
         end = frame_end(junk + frame[:length], len(junk))
         if end <= len(junk) + length:
             assert end == len(junk) + len(frame)
-
-
-# Frames of unknown messages, for a router
-
-
-def unknown(frame: bytes | None = None, number: int = 54321) -> bytes:
-    changed = bytearray(frame or position())
-    changed[7:10] = number.to_bytes(3, "little")
-    return bytes(changed)
-
-
-def keeping() -> FrameSplitter:
-    return FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=True)
-
-
-def test_an_unknown_message_is_kept_whole_and_apart() -> None:
-    link = keeping()
-    data = heartbeat() + unknown() + position()
-    assert link.split(data, is_datagram=True) == [heartbeat(), position()]
-    assert link.take_unknown() == [unknown()]
-    assert link.take_unknown() == []
-
-
-def test_unknown_messages_behind_each_other_are_kept_each() -> None:
-    link = keeping()
-    link.split(unknown() + unknown(heartbeat()), is_datagram=True)
-    assert link.take_unknown() == [unknown(), unknown(heartbeat())]
-
-
-def test_a_stream_keeps_them_too() -> None:
-    link = keeping()
-    data = unknown() + heartbeat()
-    for place in range(len(data)):
-        link.split(data[place : place + 1], is_datagram=False)
-    assert link.take_unknown() == [unknown()]
-
-
-def test_a_magic_byte_inside_an_unknown_message_does_not_hold_the_stream_up() -> None:
-    link = keeping()
-    frame = unknown(position())
-    tricky = frame[:14] + bytes((MAGIC_V2,)) + frame[15:]
-    assert link.split(tricky, is_datagram=False) == []
-    assert link.take_unknown() == [tricky]
-    assert link.split(heartbeat(), is_datagram=False) == [heartbeat()]
-
-
-def test_what_a_good_frame_lies_in_is_no_unknown_message() -> None:
-    lying = bytes((0xFD, 40, 0, 0, 0, 1, 1, 0x31, 0xD4, 0)) + position()
-    data = lying + bytes(52 - len(lying))
-    link = keeping()
-    assert link.split(data, is_datagram=True) == [position()]
-    assert link.take_unknown() == []
-
-
-def test_what_ends_in_the_middle_of_something_is_no_unknown_message() -> None:
-    link = keeping()
-    link.split(unknown() + b"tail", is_datagram=True)
-    assert link.take_unknown() == []
-
-
-def with_payload(payload: bytes, number: int = 54321) -> bytes:
-    """A frame of MAVLink 2 of any message, its CRC unknown."""
-    header = bytes((MAGIC_V2, len(payload), 0, 0, 0, 1, 1))
-    return header + number.to_bytes(3, "little") + payload + bytes(2)
-
-
-def test_an_unknown_message_that_a_datagram_cuts_off_is_none() -> None:
-    link = keeping()
-    assert link.split(heartbeat() + unknown()[:-1], is_datagram=True) == [heartbeat()]
-    assert link.take_unknown() == []
-
-
-def test_a_known_message_with_a_wrong_crc_is_no_unknown_one() -> None:
-    link = keeping()
-    broken = heartbeat()[:-1] + bytes((heartbeat()[-1] ^ 1,))
-    assert link.split(broken + position(), is_datagram=True) == [position()]
-    assert link.take_unknown() == []
-
-
-def test_an_unknown_message_behind_a_known_one_with_a_wrong_crc_is_kept() -> None:
-    link = keeping()
-    broken = heartbeat()[:-1] + bytes((heartbeat()[-1] ^ 1,))
-    assert link.split(broken + unknown(), is_datagram=True) == []
-    assert link.take_unknown() == [unknown()]
-
-
-def test_a_long_length_inside_an_unknown_message_holds_nothing_up() -> None:
-    link = keeping()
-    tricky = with_payload(bytes((MAGIC_V2, 255)) + bytes(8))
-    assert link.split(tricky, is_datagram=False) == []
-    assert link.take_unknown() == [tricky]
-    assert link.split(heartbeat(), is_datagram=False) == [heartbeat()]
-
-
-def test_what_looks_like_one_inside_an_unknown_message_is_part_of_it() -> None:
-    outer = with_payload(with_payload(bytes(4)) + bytes((MAGIC_V2, 0, 0)))
-    link = keeping()
-    link.split(outer, is_datagram=True)
-    assert link.take_unknown() == [outer]
-
-
-def test_what_ends_inside_a_good_frame_is_no_unknown_message() -> None:
-    """Its length leads to a byte of the good frame that happens to begin frames, too."""
-    good = position(MAGIC_V2)
-    inside = good.index(MAGIC_V2, 1)
-    lying = bytes((MAGIC_V2, inside + 1, 0, 0, 0, 1, 1, 0x31, 0xD4, 0, 7)) + good
-    end = 10 + (inside + 1) + 2
-    assert lying[end - 2] == MAGIC_V2
-    lying = bytes((MAGIC_V2, inside - 1)) + lying[2:]
-    link = keeping()
-    assert link.split(lying, is_datagram=True) == [good]
-    assert link.take_unknown() == []
-
-
-def test_unknown_messages_are_not_kept_unless_wanted() -> None:
-    link = splitter()
-    link.split(unknown(), is_datagram=True)
-    assert link.take_unknown() == []
 
 
 @pytest.mark.parametrize(("frame", "at"), [(heartbeat(), 4), (heartbeat_v1(), 2)])
