@@ -1,4 +1,4 @@
-"""A flight whose radio prints what a real one would, or RADIO_RANGING of the same draws."""
+"""A flight whose radio prints what a real one would, beside RADIO_RANGING of the same draws."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from companion.config.schema import CompanionConfig
 from companion.domain import RangingMeasurement
+from companion.flight_setup import build_endpoint
+from companion.link.interface import VEHICLE_ONLY, LinkRole, LinkSpec
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink, message_from_ranging
+from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.emulator import Answer, Emulator, Round
+from sim_link.lab.lockstep import RADIO_PEER, Flight, MemoryJournal
+from sim_link.lab.observer import Frame, Lane, Observer
 from sim_link.lab.radio_follower import seen_from_nose
 from sim_link.world.environment import Emitter
 from sim_link.world.field_radio import FieldRadio
@@ -22,18 +28,6 @@ from sim_link.world.field_radio import FieldRadio
 MULTIPATH_SIGMA_M = 20.0
 """What the cells' decoders count for it."""
 Coarsen = Callable[[RangingMeasurement], RangingMeasurement]
-Stamp = Callable[[float], int]
-"""Microseconds of the sender's clock at a time of the vehicle's."""
-
-
-def by_the_vehicle(now_s: float) -> int:
-    """On the autopilot's clock."""
-    return round(1e6 * now_s)
-
-
-def without_a_clock(now_s: float) -> int:  # noqa: ARG001  whenever it is
-    """As RADIO_RANGING says that there is none."""
-    return 0
 
 
 def as_it_is(heard: RangingMeasurement) -> RangingMeasurement:
@@ -121,23 +115,25 @@ def _whole(angle_rad: float) -> float:
 
 
 class EmulatedRadio:
-    """Measures from the vehicle's true place as the simulator's own does.
+    """Measures from the vehicle's true position as the simulator's own radio does.
 
     Args:
-        emulator: Who prints; None: RADIO_RANGING.
-        coarsen: What RADIO_RANGING tells of a measurement, where a format tells as little.
-        stamp: What it tells of the time.
+        emulator: Prints the measurements.
+        reference: Receives RADIO_RANGING of the same draws.
+        coarsen: Cuts from those what the emulator's format cuts.
+        has_clock: The emulator's format reports times.
     """
 
     def __init__(
         self,
         scenario: Scenario,
         seed: int,
-        emulator: Emulator | None,
+        emulator: Emulator,
+        reference: Callable[[bytes, float], None] | None = None,
         coarsen: Coarsen = as_it_is,
-        stamp: Stamp = by_the_vehicle,
+        *,
+        has_clock: bool = True,
     ) -> None:
-        self._stamp = stamp
         payload = scenario.payload
         rng = np.random.default_rng(seed)
         self._radio = FieldRadio(
@@ -147,17 +143,18 @@ class EmulatedRadio:
         self._radio.prepare(self._emitter)
         self._least_m = payload.min_altitude_m
         self._emulator = emulator
+        self._reference = reference
         self._codec = MavCodec(1, mavlink.MAV_COMP_ID_PERIPHERAL)
         self._coarsen = coarsen
-        self._boot = b"" if emulator is None else emulator.banner
+        self._has_clock = has_clock
+        self._boot = emulator.banner
 
     def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
         heard = self._heard(sim, now_s)
-        if self._emulator is None:
-            if heard is None:
-                return None
-            told = message_from_ranging(self._coarsen(heard), self._stamp(now_s))
-            return self._codec.encode(told)
+        if heard is not None and self._reference is not None:
+            clock_us = round(1e6 * now_s) if self._has_clock else 0
+            message = message_from_ranging(self._coarsen(heard), clock_us)
+            self._reference(self._codec.encode(message), now_s)
         if heard is not None and not self._emulator.reports_north:
             heard = seen_from_nose(heard, sim.vehicle.body.yaw_ned_rad)
         asked = Round(now_s, (Answer(self._emitter.emitter_id, heard),))
@@ -169,3 +166,32 @@ class EmulatedRadio:
         if body.height_m < self._least_m:
             return None
         return self._radio.hear(self._emitter, body.position_enu_m, now_s, body.attitude)
+
+
+class Passenger(Observer):
+    """A second companion aboard: it receives what the first does, its output reaches no vehicle.
+
+    Two flights differ in all that follows from the last digit of one measurement: in a tie of two
+    legs, or in which of a measurement and a tick comes first. Estimates of one path do not. Its own
+    control ends once it notices the first as another source of setpoints.
+    """
+
+    def __init__(self, flight: Flight, config: CompanionConfig) -> None:
+        links = (*VEHICLE_ONLY, LinkSpec(LinkRole.RANGING))
+        self.companion = build_endpoint(config, MemoryJournal(), links)
+        self._flight = flight
+        flight.observers.append(self)
+        self._wake()
+
+    def heard(self, frame: Frame) -> None:
+        if frame.lane is Lane.TO_COMPANION:
+            self.companion.receive(Chunk(0, frame.data, frame.peer), frame.time_s)
+
+    def ranging(self, data: bytes, now_s: float) -> None:
+        """Take a RADIO_RANGING."""
+        self.companion.receive(Chunk(1, data, RADIO_PEER), now_s)
+
+    def _wake(self) -> None:
+        self.companion.handle_timer(self._flight.now_s)
+        self.companion.take_output()
+        self._flight.at(self.companion.next_timer_s(), self._wake)

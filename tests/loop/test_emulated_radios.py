@@ -5,9 +5,10 @@ In lockstep: what differs is what the format has cut off, and nothing else.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
-from functools import cache
+from dataclasses import astuple, dataclass
 
 import msgspec
 import pytest
@@ -19,18 +20,15 @@ from companion.link.interface import Journal, LinkRole, LinkSpec
 from sim_link.autopilot.scenario import Scenario
 from sim_link.emulators.catalogue import make_emulator
 from tests.loop.emulated_radio import (
-    Coarsen,
     EmulatedRadio,
-    Stamp,
+    Passenger,
     as_it_is,
-    by_the_vehicle,
     in_degrees,
     in_degrees_about_an_upright,
     in_steps,
     of_a_cell,
     of_a_gateway,
     to_five_degrees,
-    without_a_clock,
 )
 from tests.loop.loop_helpers import Loop
 from tests.radio_flights import as_flown, place_name, place_of, sigmas
@@ -65,17 +63,6 @@ COARSE = {
 """What RADIO_RANGING is rounded to, where another flight comes of the steps.
 
 Of a tag with two axes even a millimetre may decide on which side the vehicle passes."""
-UUDF_MS = make_emulator("uudf", SEED).device_ms
-
-
-def by_the_board(now_s: float) -> int:
-    """On the clock of the u-blox board.
-
-    On another one the same times differ in their thirteenth digit. Measurements and ticks come at
-    the same times here, so that this decides which of the two was first, and of bearings alone in
-    whole degrees comes another path.
-    """
-    return 1000 * UUDF_MS(now_s)
 
 
 def knowing(config: CompanionConfig, scenario: Scenario) -> CompanionConfig:
@@ -90,60 +77,50 @@ def knowing(config: CompanionConfig, scenario: Scenario) -> CompanionConfig:
     return msgspec.structs.replace(config, estimation=estimation)
 
 
-def flown(
-    place: str,
-    format_: Format | None,
-    coarsen: Coarsen = as_it_is,
-    stamp: Stamp = by_the_vehicle,
-    seed: int = SEED,
-) -> tuple[float, float, float]:
-    """Error, R95 and time of a flight that localised the emitter, metres and seconds."""
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A report, and the estimate by RADIO_RANGING at its time."""
+
+    error_m: float
+    r95_m: float
+    time_s: float
+    expected_error_m: float
+    expected_r95_m: float
+
+
+def flown(place: str, format_: Format, seed: int = SEED) -> Outcome:
+    """Return the outcome of a flight by the radio's bytes."""
     scenario = place_of(place).scenario
     config = knowing(place_of(place).config, scenario)
-    emulator = None if format_ is None else make_emulator(format_.name, seed)
-    emitter_id = scenario.emitter.emitter_id
 
     def make(
         config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
     ) -> CompanionEndpoint:
-        setup = None
-        if format_ is not None:
-            setup = format_.setup(emitter_id, **sigmas(format_, scenario))
+        setup = format_.setup(scenario.emitter.emitter_id, **sigmas(format_, scenario))
         return build_endpoint(config, journal, (*links[:-1], LinkSpec(LinkRole.RANGING, setup)))
 
-    radio = EmulatedRadio(scenario, seed, emulator, coarsen, stamp)
+    passengers: list[Passenger] = []
+    radio = EmulatedRadio(
+        scenario,
+        seed,
+        make_emulator(format_.name, seed),
+        lambda data, now_s: passengers[0].ranging(data, now_s),
+        COARSE.get(format_.name, as_it_is),
+        has_clock=format_.time_s is not None,
+    )
     period_s = 1.0 / scenario.payload.rate_hz
     loop = Loop(config, scenario, seed, None, radio, period_s, make)
+    passengers.append(Passenger(loop.flight, loop.flight.config))
     loop.run_until(lambda: bool(loop.notes.results), LIMIT_S)
-    report = loop.notes.results[0][1]
-    assert report.emitter_id == emitter_id
-    return loop.error_m, report.estimate.r95_m, loop.now_s
-
-
-SRSRAN_S = make_emulator("srsran", SEED).device_s
-
-
-def by_the_metrics(now_s: float) -> int:
-    """On the clock of the cell's computer, whose milliseconds are told; for the same reason."""
-    return 1000 * round(1000.0 * SRSRAN_S(now_s))
-
-
-GATEWAY_S = make_emulator("lora_forwarder", SEED).device_s
-
-
-def by_the_gateway(now_s: float) -> int:
-    """On the gateway's microseconds; for the same reason."""
-    return round(1e6 * GATEWAY_S(now_s))
-
-
-STAMPS = {"uudf": by_the_board, "srsran": by_the_metrics, "lora_forwarder": by_the_gateway}
-"""Where the last digit of a time makes another flight."""
-
-
-@cache
-def reference(place: str, coarsen: Coarsen, stamp: Stamp) -> tuple[float, float, float]:
-    """The same with RADIO_RANGING."""
-    return flown(place, None, coarsen, stamp)
+    time_s, report = loop.notes.results[0]
+    expected = passengers[0].companion.session.estimate
+    assert report.emitter_id == scenario.emitter.emitter_id
+    assert expected is not None
+    errors_m = [
+        math.dist(each.position_enu_m, scenario.emitter.position_enu_m)
+        for each in (report.estimate, expected)
+    ]
+    return Outcome(errors_m[0], report.estimate.r95_m, time_s, errors_m[1], expected.r95_m)
 
 
 @pytest.mark.parametrize(
@@ -151,24 +128,16 @@ def reference(place: str, coarsen: Coarsen, stamp: Stamp) -> tuple[float, float,
 )
 def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
     place = place_name(format_)
-    error_m, r95_m, time_s = flown(place, format_)
-    stamp = by_the_vehicle if format_.time_s is not None else without_a_clock
-    expected_m, expected_r95_m, expected_s = reference(
-        place,
-        COARSE.get(format_.name, as_it_is),
-        STAMPS.get(format_.name, stamp),
-    )
+    found = flown(place, format_)
     if format_.name in CELLS:
-        assert error_m <= r95_m
+        assert found.error_m <= found.r95_m
     if FIGURES is not None:
         with open(FIGURES, "a", encoding="utf-8") as stream:
-            stream.write(
-                f"{format_.name} {place} {error_m:.3f} {r95_m:.3f} {time_s:.1f} "
-                f"{expected_m:.3f} {expected_r95_m:.3f} {expected_s:.1f}\n"
-            )
-    assert r95_m == pytest.approx(expected_r95_m, rel=SHARE)
-    assert error_m == pytest.approx(expected_m, abs=SHARE * expected_r95_m)
-    assert time_s == pytest.approx(expected_s, abs=0.5)
+            figures = " ".join(f"{value:.3f}" for value in astuple(found))
+            stream.write(f"{format_.name} {place} {figures}\n")
+    assert found.r95_m == pytest.approx(found.expected_r95_m, rel=SHARE)
+    expected_m = pytest.approx(found.expected_error_m, abs=SHARE * found.expected_r95_m)
+    assert found.error_m == expected_m
 
 
 @pytest.mark.campaign
@@ -179,10 +148,10 @@ def test_a_cell_whose_ranges_come_in_steps_promises_no_more_than_it_keeps(name: 
     found = []
     for seed in CELL_SEEDS:
         try:
-            found.append(flown(place_name(format_), format_, seed=seed)[:2])
+            found.append(flown(place_name(format_), format_, seed))
         except AssertionError as error:
             if "did not hold within" not in str(error):
                 raise  # what is missing at the limit is counted below
     most_m = place_of(place_name(format_)).config.estimation.localised_r95_m
     assert len(found) >= len(CELL_SEEDS) - 1
-    assert all(error_m <= r95_m <= most_m for error_m, r95_m in found), found
+    assert all(each.error_m <= each.r95_m <= most_m for each in found), found
