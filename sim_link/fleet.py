@@ -84,9 +84,9 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
 def _emitter(endpoint: SimEndpoint, scenario: Scenario) -> dict[str, object]:
     position_enu_m = (*scenario.emitter.position_enu_m, scenario.emitter.height_m)
     names = ("latitude_deg", "longitude_deg", "altitude_m")
-    place = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
+    position = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
     emitter = {"id": scenario.emitter.emitter_id, "enu_m": list(position_enu_m)}
-    return emitter | dict(zip(names, place, strict=True))
+    return emitter | dict(zip(names, position, strict=True))
 
 
 class Fleet:

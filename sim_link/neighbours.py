@@ -47,7 +47,7 @@ class Neighbour:
         self.setup, self.peer = setup, peer
         self.began_s = now_s
         self._own_setpoints = 0
-        east, north, up = setup.place_enu_m
+        east, north, up = setup.position_enu_m
         own_flavour = scenario.autopilot.flavour
         autopilot = msgspec.structs.replace(
             scenario.autopilot,
@@ -82,9 +82,9 @@ class Neighbour:
     def _lift(self, up_m: float, now_s: float) -> None:
         """Put it into the air, armed, in the mode that it shall be found in."""
         vehicle = self.sim.vehicle
-        place = (*vehicle.body.position_enu_m[:2], up_m)
-        vehicle.body.position_enu_m = place
-        vehicle.estimator.step(0.0, place, 0.0)
+        position = (*vehicle.body.position_enu_m[:2], up_m)
+        vehicle.body.position_enu_m = position
+        vehicle.estimator.step(0.0, position, 0.0)
         vehicle.aircraft.is_armed = True
         mode = FlightMode.OFFBOARD if self.setup.is_offboard else FlightMode.HOLD
         boot_s = self.setup.uptime_s
@@ -99,7 +99,7 @@ class Neighbour:
 
     def _stay(self, now_s: float) -> None:
         """A setpoint of its own companion: here."""
-        message = setpoint_at(self.setup.place_enu_m, self.setup.system_id, now_s)
+        message = setpoint_at(self.setup.position_enu_m, self.setup.system_id, now_s)
         self.sim.receive(Chunk(0, self._codec.encode(message), None), now_s)
         self._own_setpoints += 1
 
@@ -116,7 +116,7 @@ class Neighbour:
         self.sim.handle_timer(now_s)
 
     @property
-    def place_enu_m(self) -> PositionEnu:
+    def position_enu_m(self) -> PositionEnu:
         """True position in the world's frame."""
         return self.sim.vehicle.body.position_enu_m
 
@@ -128,7 +128,7 @@ class Neighbour:
     @property
     def summary(self) -> str:
         """Interference of others with it, in one line."""
-        moved_m = math.dist(self.place_enu_m, self.setup.place_enu_m)
+        moved_m = math.dist(self.position_enu_m, self.setup.position_enu_m)
         return (
             f"other vehicle {self.setup.system_id}: {self.strange_setpoints} setpoints that are "
             f"not its companion's, moved {moved_m:.1f} m"

@@ -98,11 +98,11 @@ class Area:
     is_inclusion: bool
     radius_m: float | None = None
 
-    def depth_m(self, place: Point) -> float:
+    def depth_m(self, position: Point) -> float:
         """Return the distance to the boundary of the area; negative outside."""
         if self.radius_m is None:
-            return depth_m(self.corners_enu_m, place)
-        return self.radius_m - math.dist(place, self.corners_enu_m[0])
+            return depth_m(self.corners_enu_m, position)
+        return self.radius_m - math.dist(position, self.corners_enu_m[0])
 
 
 class Geofence:
@@ -120,9 +120,9 @@ class Geofence:
         """True if there is neither an inclusion nor an exclusion."""
         return not (self._inclusions or self._exclusions)
 
-    def margin_m(self, place: PositionEnu) -> float:
+    def margin_m(self, position: PositionEnu) -> float:
         """Return the distance to the nearest breach, negative in one; infinite without a fence."""
-        point = place[:2]
+        point = position[:2]
         margin = math.inf
         if self._inclusions:
             margin = max(area.depth_m(point) for area in self._inclusions)
@@ -188,9 +188,9 @@ class Aircraft:
         body: PointMass | None = None,
     ) -> None:
         self.scenario = scenario
-        place = scenario.origin
+        zero = scenario.origin
         projection = PROJECTION_OF[scenario.autopilot.flavour]
-        origin = LocalOrigin(place.latitude_deg, place.longitude_deg, place.altitude_m, projection)
+        origin = LocalOrigin(zero.latitude_deg, zero.longitude_deg, zero.altitude_m, projection)
         start: PositionEnu = (*scenario.start_enu_m, 0.0)
         self.body = PointMass(scenario.vehicle, scenario.wind, start) if body is None else body
         """The true motion."""
@@ -263,17 +263,17 @@ class Aircraft:
         self.battery.step(is_flying, STEP_S)
         self.estimator.step(self.time_s, self.body.position_enu_m, STEP_S)
 
-    def set_home(self, place_enu_m: PositionEnu, *, is_given: bool) -> None:
+    def set_home(self, position_enu_m: PositionEnu, *, is_given: bool) -> None:
         """Move home; `is_given` if requested by a station."""
-        self.home_enu_m = self.pilot.home_enu_m = place_enu_m
+        self.home_enu_m = self.pilot.home_enu_m = position_enu_m
         self.is_home_given = is_given
         self.home_set_s = self.time_s
         self.home_changes += 1
 
     def set_origin(self, latitude_e7: int, longitude_e7: int, altitude_mm: int) -> None:
         """Move the zero of the local frame."""
-        place = (latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
-        self.estimator.set_origin(LocalOrigin(*place, self.estimator.world_origin.projection))
+        position = (latitude_e7 / 1e7, longitude_e7 / 1e7, altitude_mm / 1e3)
+        self.estimator.set_origin(LocalOrigin(*position, self.estimator.world_origin.projection))
         self.origin_changes += 1
 
     def shift_origin(self, offset_enu_m: PositionEnu) -> None:
@@ -292,7 +292,7 @@ class Aircraft:
             return altitude_m + self.home_enu_m[2]
         return None
 
-    def place_from(
+    def position_from(
         self, latitude_e7: int, longitude_e7: int, altitude_m: float, frame: int
     ) -> PositionEnu | None:
         """Convert a geodetic target to local ENU; None if its frame is not supported."""
@@ -300,8 +300,8 @@ class Aircraft:
         if up_m is None:
             return None
         amsl_m = self.estimator.world_origin.altitude_m + up_m
-        place = (latitude_e7 / 1e7, longitude_e7 / 1e7, amsl_m)
-        return (*self.estimator.world_from_geodetic(*place)[:2], up_m)
+        position = (latitude_e7 / 1e7, longitude_e7 / 1e7, amsl_m)
+        return (*self.estimator.world_from_geodetic(*position)[:2], up_m)
 
     def load_fence(self, items: Sequence[PlanItem]) -> None:
         """Take over an uploaded fence, which was checked before it was stored."""
@@ -315,6 +315,6 @@ class Aircraft:
 
     def _locate(self, item: PlanItem) -> PositionEnu:
         frame = item.frame if item.frame in GLOBAL_FRAMES else 3
-        place = self.place_from(item.x, item.y, item.z, frame)
-        assert place is not None
-        return place
+        position = self.position_from(item.x, item.y, item.z, frame)
+        assert position is not None
+        return position

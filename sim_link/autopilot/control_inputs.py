@@ -6,7 +6,7 @@ and 86.
 
 `Echo` is the target that POSITION_TARGET_LOCAL_NED and _GLOBAL_INT report. The two autopilots
 report it differently. PX4 shows what its position controller works with, in every mode
-that has one: the place if there is one, and always the velocity and the acceleration that follow
+that has one: the position if there is one, and always the velocity and acceleration that follow
 from it, the yaw and the yaw rate; fields that mean nothing are NaN. ArduCopter shows the target of
 GUIDED and nothing else; fields that mean nothing are 0, and yaw never means anything.
 
@@ -235,7 +235,7 @@ AXIS_BITS = (
 class Echo:
     """Target that the autopilot reports following."""
 
-    place_enu_m: Axes = NOTHING
+    position_enu_m: Axes = NOTHING
     """Position in the world's frame."""
     velocity_enu_mps: Axes = NOTHING
     acceleration_enu_mps2: Axes = NOTHING
@@ -248,13 +248,13 @@ class Echo:
     @property
     def type_mask(self) -> int:
         """Mask of ignored fields, POSITION_TARGET_TYPEMASK."""
-        axes = (*self.place_enu_m, *self.velocity_enu_mps, *self.acceleration_enu_mps2)
+        axes = (*self.position_enu_m, *self.velocity_enu_mps, *self.acceleration_enu_mps2)
         mask = sum(bit for axis, bit in zip(axes, AXIS_BITS, strict=True) if axis is None)
         mask |= 0 if self.yaw_ned_rad is not None else dialect.YAW_IGNORE
         return mask | (0 if self.yaw_rate_ned_radps is not None else dialect.YAW_RATE_IGNORE)
 
     @property
-    def whole_place(self) -> PositionEnu | None:
+    def whole_position(self) -> PositionEnu | None:
         """The position, if all of it is commanded."""
-        east, north, up = self.place_enu_m
+        east, north, up = self.position_enu_m
         return None if east is None or north is None or up is None else (east, north, up)

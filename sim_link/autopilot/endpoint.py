@@ -112,7 +112,7 @@ class SimEndpoint:
     def _boot(
         self, started_s: float, parameters: str, name: str, body: PointMass | None = None
     ) -> None:
-        """Power on: reset all but place, wind, sequence numbers and the stored parameters."""
+        """Power on: reset all but position, wind, sequence numbers and the stored parameters."""
         noise_seed, payload_seed = self._seeds.spawn(2)
         scenario = self._scenario
         self._started_s = started_s

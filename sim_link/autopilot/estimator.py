@@ -6,7 +6,7 @@ autopilot's local frame has its zero at the EKF origin, which a station may move
 (`navigation`), commanded jumps, and the drift while there is no fix. White noise is in the reports
 only. An autopilot steers by its estimate. The navigation's error is in that estimate, and so in
 every position that it holds. A target goes into that frame, the world's as GNSS shows it, through
-`world_from_local` or `world_from_geodetic`, which subtract jumps and drift; a place that it merely
+`world_from_local` or `world_from_geodetic`, which subtract jumps and drift; a position it merely
 holds stays where it is then, because a real estimator announces a reset to its controllers.
 
 Error of the autopilot's position estimate, and the motion as it estimates it.
@@ -70,7 +70,7 @@ class NavigationParams(Params, frozen=True):
     """Changes of the fix, in any order."""
 
     @property
-    def errs_in_place(self) -> bool:
+    def errs_in_position(self) -> bool:
         """True if the estimated position ever differs from the true one."""
         changed = any(each.sigma_m or each.height_sigma_m for each in self.fix_changes)
         return bool(self.sigma_m or self.height_sigma_m or changed)
@@ -189,7 +189,7 @@ class Estimator:
     Args:
         origin: Zero of the world's frame, and of the local frame at boot.
         noise_m: Standard deviation per axis of the reported position.
-        navigation: Errors of place and heading; by default there are none.
+        navigation: Errors of position and heading; by default there are none.
     """
 
     def __init__(
@@ -211,7 +211,7 @@ class Estimator:
         self.navigation = navigation
         self.error: NavigationError | None = None
         """Error of the estimated position; None: it has none."""
-        if navigation.errs_in_place:
+        if navigation.errs_in_position:
             self.error = NavigationError(navigation, rng.spawn(1)[0])
         self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
         self._gps = gps
@@ -340,8 +340,8 @@ class Estimator:
     def shift_origin(self, offset_enu_m: PositionEnu) -> None:
         """Move the zero of the local frame."""
         (e, n, u), (de, dn, du) = self._origin_enu_m, offset_enu_m
-        place = self.world_origin.geodetic_from_enu((e + de, n + dn, u + du))
-        self.set_origin(LocalOrigin(*place, self.world_origin.projection))
+        position = self.world_origin.geodetic_from_enu((e + de, n + dn, u + du))
+        self.set_origin(LocalOrigin(*position, self.world_origin.projection))
 
     def local_from_world(self, enu_m: PositionEnu) -> PositionEnu:
         """Convert a position from the world's frame to the EKF's local frame, without the bias."""
@@ -362,6 +362,6 @@ class Estimator:
         self, latitude_deg: float, longitude_deg: float, altitude_m: float
     ) -> PositionEnu:
         """Return the true position that the vehicle reaches when sent to a geodetic one."""
-        place = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
-        (e, n, u), (be, bn, bu) = place, self._shift_enu_m
+        position = self.world_origin.enu_from_geodetic(latitude_deg, longitude_deg, altitude_m)
+        (e, n, u), (be, bn, bu) = position, self._shift_enu_m
         return (e - be, n - bn, u - bu)

@@ -57,9 +57,9 @@ Handler = Callable[[Any, Command, float], int]
 """Executes a flavour's command at a time; returns a MAV_RESULT or `UNANSWERED`."""
 
 
-def is_place(place: tuple[int, int]) -> bool:
+def is_valid_position(position: tuple[int, int]) -> bool:
     """Return True if latitude and longitude are valid; 0/0 means unknown."""
-    return place != (0, 0) and is_on_earth(*place)
+    return position != (0, 0) and is_on_earth(*position)
 
 
 def is_altitude(altitude_m: float) -> bool:
@@ -96,10 +96,10 @@ def set_home(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int:
         aircraft.set_home(aircraft.motion.position_enu_m, is_given=False)
         return ACCEPTED
     frame = mavlink.MAV_FRAME_GLOBAL if command.frame is None else command.frame
-    place, altitude_m = command.place_e7, command.params[6]
-    if place is None or not is_place(place) or not is_altitude(altitude_m):
+    position, altitude_m = command.position_e7, command.params[6]
+    if position is None or not is_valid_position(position) or not is_altitude(altitude_m):
         return firmware.refusal
-    home = aircraft.place_from(*place, altitude_m, frame)
+    home = aircraft.position_from(*position, altitude_m, frame)
     if home is None:
         return firmware.frame_refusal
     if any(abs(axis) > MAX_DISTANCE_M for axis in home):
@@ -253,12 +253,12 @@ class AutopilotFlavour(ABC):
         """Return the reason why it could not be armed now, or None."""
 
     @abstractmethod
-    def fence_margin_m(self, place: PositionEnu) -> float:
+    def fence_margin_m(self, position: PositionEnu) -> float:
         """Return the distance from a position to the nearest fence breach, negative in one."""
 
     @abstractmethod
-    def fence_state(self, place: PositionEnu) -> FenceState:
-        """Return the state of the fence for a vehicle at `place`."""
+    def fence_state(self, position: PositionEnu) -> FenceState:
+        """Return the state of the fence for a vehicle at `position`."""
 
     @abstractmethod
     def heartbeat_state(self, now_s: float) -> HeartbeatState:
@@ -398,8 +398,8 @@ class AutopilotFlavour(ABC):
             return
         body = aircraft.motion
         if pilot.task is Task.FLY_MISSION:
-            place, is_on_ground = body.position_enu_m, body.is_on_ground
-            self.leg = aircraft.mission.leg(place, is_on_ground and aircraft.has_flown, now_s)
+            position, is_on_ground = body.position_enu_m, body.is_on_ground
+            self.leg = aircraft.mission.leg(position, is_on_ground and aircraft.has_flown, now_s)
         sticks = aircraft.sticks.read(now_s) if pilot.task is Task.FLY_BY_STICKS else None
         setpoint = self.flown_setpoint
         aircraft.move(

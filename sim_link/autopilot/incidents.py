@@ -250,7 +250,7 @@ class OtherVehicle(FaultRecord, frozen=True, tag="other_vehicle"):
     """True in the mode that obeys setpoints."""
 
     @property
-    def place_enu_m(self) -> PositionEnu:
+    def position_enu_m(self) -> PositionEnu:
         """Position in the world's frame."""
         return (self.east_m, self.north_m, self.up_m)
 

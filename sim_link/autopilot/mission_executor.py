@@ -23,12 +23,12 @@ MAX_STEPS = 1000
 """Items without a way to fly that are done in one go: a loop of jumps must end."""
 
 
-TIMED_PLACES = (
+TIMED_WAYPOINTS = (
     mavlink.MAV_CMD_NAV_WAYPOINT,
     mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT,
     mavlink.MAV_CMD_NAV_LOITER_TIME,
 )
-"""Places to stay at for the seconds of their first parameter."""
+"""Waypoints to loiter at for the seconds of their first parameter."""
 
 Locate = Callable[[PlanItem], PositionEnu]
 """Position of an item, in the world's frame."""
@@ -113,14 +113,14 @@ class MissionRun:
             self.state = MissionState.PAUSED
         self._goal = None
 
-    def leg(self, place: PositionEnu, is_on_ground: bool, now_s: float) -> MissionLeg | None:
+    def leg(self, position: PositionEnu, is_on_ground: bool, now_s: float) -> MissionLeg | None:
         """Return the target at `now_s`, or None at the end; completed items are passed."""
         if self.state is not MissionState.ACTIVE:
             return None
         for _ in range(MAX_STEPS):
             if self.current >= len(self.items):
                 break
-            leg = self._leg_of(self.items[self.current], place, is_on_ground, now_s)
+            leg = self._leg_of(self.items[self.current], position, is_on_ground, now_s)
             if leg is not None:
                 return leg
         self._complete()
@@ -140,27 +140,27 @@ class MissionRun:
         self._go_to(self.current + 1)
 
     def _leg_of(
-        self, item: PlanItem, place: PositionEnu, is_on_ground: bool, now_s: float
+        self, item: PlanItem, position: PositionEnu, is_on_ground: bool, now_s: float
     ) -> MissionLeg | None:
         """Return the leg of an item, or None if it is done (the run has moved on then)."""
         hold_s = item.params[0] if item.params[0] > 0.0 else 0.0
         match item.command:
             case mavlink.MAV_CMD_NAV_LAND:
-                return self._land(item, place, is_on_ground)
+                return self._land(item, position, is_on_ground)
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return MissionLeg(LegKind.RETURN, place)
-            case number if number in TIMED_PLACES:
-                return self._fly(item, self._place_of(item, place), place, hold_s, now_s)
+                return MissionLeg(LegKind.RETURN, position)
+            case number if number in TIMED_WAYPOINTS:
+                return self._fly(item, self._goal_of(item, position), position, hold_s, now_s)
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
-                return self._fly(item, self._place_of(item, place), place, math.inf, now_s)
+                return self._fly(item, self._goal_of(item, position), position, math.inf, now_s)
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 if self._goal is None:
                     up_m = self._locate(item)[2]
-                    self._goal = (place[0], place[1], max(up_m, place[2]))
-                return self._fly(item, self._goal, place, 0.0, now_s)
+                    self._goal = (position[0], position[1], max(up_m, position[2]))
+                return self._fly(item, self._goal, position, 0.0, now_s)
             case mavlink.MAV_CMD_NAV_DELAY | mavlink.MAV_CMD_CONDITION_DELAY:
-                goal = self._goal = self._goal or place
-                return self._fly(item, goal, place, hold_s, now_s)
+                goal = self._goal = self._goal or position
+                return self._fly(item, goal, position, hold_s, now_s)
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 self._speed_mps = item.params[1] if item.params[1] > 0.0 else None
             case mavlink.MAV_CMD_DO_JUMP if self._jump(item):
@@ -180,36 +180,36 @@ class MissionRun:
         self._go_to(int(item.params[0]))
         return True
 
-    def _place_of(self, item: PlanItem, place: PositionEnu) -> PositionEnu:
+    def _goal_of(self, item: PlanItem, position: PositionEnu) -> PositionEnu:
         if self._goal is None:
             is_here = (item.x, item.y) == (0, 0) or NO_VALUE in (item.x, item.y)
-            self._goal = place if is_here else self._locate(item)
+            self._goal = position if is_here else self._locate(item)
         return self._goal
 
-    def _land(self, item: PlanItem, place: PositionEnu, is_on_ground: bool) -> MissionLeg | None:
-        east, north, _ = self._place_of(item, place)
-        if self._arrived_s is None and math.dist((east, north), place[:2]) > ACCEPTANCE_M:
-            return MissionLeg(LegKind.FLY, (east, north, place[2]), self._speed_mps)
+    def _land(self, item: PlanItem, position: PositionEnu, is_on_ground: bool) -> MissionLeg | None:
+        east, north, _ = self._goal_of(item, position)
+        if self._arrived_s is None and math.dist((east, north), position[:2]) > ACCEPTANCE_M:
+            return MissionLeg(LegKind.FLY, (east, north, position[2]), self._speed_mps)
         self._arrived_s = 0.0
         if is_on_ground:
             self._done()
             return None
-        return MissionLeg(LegKind.LAND, (east, north, place[2]))
+        return MissionLeg(LegKind.LAND, (east, north, position[2]))
 
     def _fly(
-        self, item: PlanItem, goal: PositionEnu, place: PositionEnu, hold_s: float, now_s: float
+        self, item: PlanItem, goal: PositionEnu, position: PositionEnu, hold_s: float, now_s: float
     ) -> MissionLeg | None:
-        is_place = item.command == mavlink.MAV_CMD_NAV_WAYPOINT
-        radius_m = item.params[1] if is_place and item.params[1] > 0.0 else ACCEPTANCE_M
-        is_level = abs(goal[2] - place[2]) <= ACCEPTANCE_UP_M
-        is_there = is_level and math.dist(goal[:2], place[:2]) <= radius_m
+        is_waypoint = item.command == mavlink.MAV_CMD_NAV_WAYPOINT
+        radius_m = item.params[1] if is_waypoint and item.params[1] > 0.0 else ACCEPTANCE_M
+        is_level = abs(goal[2] - position[2]) <= ACCEPTANCE_UP_M
+        is_there = is_level and math.dist(goal[:2], position[:2]) <= radius_m
         if is_there and self._arrived_s is None:
             self._arrived_s = now_s
         if self._arrived_s is not None and now_s - self._arrived_s >= hold_s:
             self._done()
             return None
         yaw = item.params[3]
-        wanted = math.radians(yaw) if is_place and math.isfinite(yaw) and yaw != 0.0 else None
-        if wanted is None and math.dist(goal[:2], place[:2]) > ACCEPTANCE_M:
-            wanted = math.atan2(goal[0] - place[0], goal[1] - place[1])
+        wanted = math.radians(yaw) if is_waypoint and math.isfinite(yaw) and yaw != 0.0 else None
+        if wanted is None and math.dist(goal[:2], position[:2]) > ACCEPTANCE_M:
+            wanted = math.atan2(goal[0] - position[0], goal[1] - position[1])
         return MissionLeg(LegKind.FLY, goal, self._speed_mps, wanted)

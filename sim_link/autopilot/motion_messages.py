@@ -52,9 +52,9 @@ def to_int32(value: float) -> int:
     return round(min(2**31 - 1, max(-(2**31 - 1), value)))
 
 
-def to_e7(place: tuple[float, float, float]) -> tuple[int, int, int]:
+def to_e7(position: tuple[float, float, float]) -> tuple[int, int, int]:
     """Return 1e-7 degrees and millimetres from degrees and metres."""
-    return (to_int32(place[0] * 1e7), to_int32(place[1] * 1e7), to_int32(place[2] * 1e3))
+    return (to_int32(position[0] * 1e7), to_int32(position[1] * 1e7), to_int32(position[2] * 1e3))
 
 
 def _centidegrees(angle_rad: float) -> int:
@@ -65,8 +65,8 @@ def local_position_ned(vehicle: SimVehicle) -> Fields | None:
     """Return the position about the EKF origin; None without an estimate."""
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
-    place = ned_from_enu(vehicle.estimator.local_enu_m)
-    return (boot_ms(vehicle), *place, *ned_from_enu(vehicle.body.velocity_enu_mps))
+    position = ned_from_enu(vehicle.estimator.local_enu_m)
+    return (boot_ms(vehicle), *position, *ned_from_enu(vehicle.body.velocity_enu_mps))
 
 
 def _roll_and_pitch(vehicle: SimVehicle) -> tuple[float, float]:
@@ -134,11 +134,11 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
         return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0)
     v_east, v_north, _ = vehicle.body.velocity_enu_mps
     speed, course = to_int16(1e2 * math.hypot(v_east, v_north)), math.atan2(v_east, v_north)
-    place = to_e7(vehicle.geodetic)
+    position = to_e7(vehicle.geodetic)
     fix, motion = FIX_TYPES[vehicle.estimator.fix], (speed, _centidegrees(course))
     accuracy_m = vehicle.estimator.reported_accuracy_m
     h_acc_mm, v_acc_mm = (round(1e3 * sigma_m) for sigma_m in accuracy_m)
-    return (boot_us(vehicle), fix, *place, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
+    return (boot_us(vehicle), fix, *position, 90, 120, *motion, 14, 0, h_acc_mm, v_acc_mm)
 
 
 def gps2_raw(vehicle: SimVehicle) -> Fields | None:
@@ -152,8 +152,8 @@ def gps2_raw(vehicle: SimVehicle) -> Fields | None:
     dgps = (0, 0)  # satellites of the differential correction, and its age
     if not has_fix:
         return (boot_us(vehicle), mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, *[UINT16_MAX] * 4, 0, *dgps)
-    place, fix = to_e7(vehicle.geodetic), FIX_TYPES[vehicle.estimator.fix]
-    return (boot_us(vehicle), fix, *place, 90, 120, UINT16_MAX, UINT16_MAX, 14, *dgps)
+    position, fix = to_e7(vehicle.geodetic), FIX_TYPES[vehicle.estimator.fix]
+    return (boot_us(vehicle), fix, *position, 90, 120, UINT16_MAX, UINT16_MAX, 14, *dgps)
 
 
 def altitude(vehicle: SimVehicle) -> Fields:
@@ -178,12 +178,12 @@ def vfr_hud(vehicle: SimVehicle) -> Fields:
 
 def nav_controller_output(vehicle: SimVehicle) -> Fields:
     """Return the distance and direction to where it goes."""
-    pilot, place = vehicle.aircraft.pilot, vehicle.aircraft.motion.position_enu_m
+    pilot, position = vehicle.aircraft.pilot, vehicle.aircraft.motion.position_enu_m
     goal = pilot.goal_enu_m or pilot.hold_enu_m
-    bearing = round(math.degrees(math.atan2(goal[0] - place[0], goal[1] - place[1])))
-    distance_m = min(UINT16_MAX, round(math.dist(goal[:2], place[:2])))
+    bearing = round(math.degrees(math.atan2(goal[0] - position[0], goal[1] - position[1])))
+    distance_m = min(UINT16_MAX, round(math.dist(goal[:2], position[:2])))
     tilt = [math.degrees(angle) for angle in _roll_and_pitch(vehicle)]
-    return (*tilt, bearing, bearing, distance_m, goal[2] - place[2], 0.0, 0.0)
+    return (*tilt, bearing, bearing, distance_m, goal[2] - position[2], 0.0, 0.0)
 
 
 def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
@@ -191,10 +191,10 @@ def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
     echo = vehicle.flavour.echo()
     if echo is None:
         return None
-    shown = vehicle.estimator.shown_from_world(_filled(echo.place_enu_m, 0.0))
+    shown = vehicle.estimator.shown_from_world(_filled(echo.position_enu_m, 0.0))
     east, north, up = (
         echo.nothing if axis is None else value
-        for value, axis in zip(shown, echo.place_enu_m, strict=True)
+        for value, axis in zip(shown, echo.position_enu_m, strict=True)
     )
     head = (boot_ms(vehicle), mavlink.MAV_FRAME_LOCAL_NED, echo.type_mask)
     return (*head, *ned_from_enu((east, north, up)), *_motion(echo))
@@ -203,10 +203,10 @@ def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
 def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
     """Return the same above sea level; None without a target position."""
     echo = vehicle.flavour.echo()
-    place = None if echo is None else echo.whole_place
-    if echo is None or place is None or any(abs(value) > FARTHEST_M for value in place):
+    position = None if echo is None else echo.whole_position
+    if echo is None or position is None or any(abs(value) > FARTHEST_M for value in position):
         return None
-    lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(place)
+    lat, lon, alt = vehicle.estimator.world_origin.geodetic_from_enu(position)
     head = (boot_ms(vehicle), mavlink.MAV_FRAME_GLOBAL_INT, echo.type_mask)
     return (*head, to_int32(lat * 1e7), to_int32(lon * 1e7), alt, *_motion(echo))
 

@@ -115,11 +115,11 @@ class OtherComponentSender:
         return []
 
 
-def setpoint_at(place_enu_m: PositionEnu, system_id: int, now_s: float) -> Message:
-    """Return the setpoint by which another companion keeps a vehicle at a place."""
+def setpoint_at(position_enu_m: PositionEnu, system_id: int, now_s: float) -> Message:
+    """Return the setpoint by which another companion keeps a vehicle at a position."""
     head = (round(1e3 * now_s), system_id, 1, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY)
-    place = ned_from_enu(place_enu_m)
-    return mavlink.MAVLink_set_position_target_local_ned_message(*head, *place, *[0.0] * 8)
+    position = ned_from_enu(position_enu_m)
+    return mavlink.MAVLink_set_position_target_local_ned_message(*head, *position, *[0.0] * 8)
 
 
 STATION_IDS = (254, mavlink.MAV_COMP_ID_MISSIONPLANNER)
@@ -144,12 +144,12 @@ def station_orders(incident: StationRecord, vehicle: SimVehicle) -> list[Message
             number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
             orders = [mavlink.MAVLink_command_long_message(*target, number, 0, *params)]
         case StationHome():
-            place = vehicle.estimator.world_origin.geodetic_from_enu(
+            position = vehicle.estimator.world_origin.geodetic_from_enu(
                 (incident.east_m, incident.north_m, incident.up_m)
             )
             what = (*target, mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_DO_SET_HOME, 0, 0)
-            nothing, at = (0.0, 0.0, 0.0, 0.0), (round(E7 * place[0]), round(E7 * place[1]))
-            orders = [mavlink.MAVLink_command_int_message(*what, *nothing, *at, place[2])]
+            nothing, at = (0.0, 0.0, 0.0, 0.0), (round(E7 * position[0]), round(E7 * position[1]))
+            orders = [mavlink.MAVLink_command_int_message(*what, *nothing, *at, position[2])]
     codec = MavCodec(*STATION_IDS)
     received = (codec.decode_frame(codec.encode(order)) for order in orders)
     return [message for message in received if message is not None]
@@ -171,8 +171,8 @@ def _fence_orders(
     command += 0 if incident.is_inclusion else 1
     messages: list[Message] = [mavlink.MAVLink_mission_count_message(*target, len(corners), FENCE)]
     for seq, (east_m, north_m) in enumerate(corners):
-        place = (incident.east_m + east_m, incident.north_m + north_m, 0.0)
-        latitude, longitude, _ = vehicle.estimator.world_origin.geodetic_from_enu(place)
+        position = (incident.east_m + east_m, incident.north_m + north_m, 0.0)
+        latitude, longitude, _ = vehicle.estimator.world_origin.geodetic_from_enu(position)
         what = (*target, seq, mavlink.MAV_FRAME_GLOBAL, command, 0, 1, first, 0.0, 0.0, 0.0)
         at = (round(E7 * latitude), round(E7 * longitude), 0.0)
         messages.append(mavlink.MAVLink_mission_item_int_message(*what, *at, FENCE))
@@ -257,8 +257,8 @@ class RadioPayload:
         for emitter in self._emitters:
             is_near = emitter.slant_range_m(pose.position_enu_m) <= self._params.max_range_m
             if is_near and pose.height_m >= self._params.min_altitude_m:
-                place, attitude = pose.position_enu_m, pose.attitude
-                measurement = self._radio.hear(emitter, place, now_s, attitude)
+                position, attitude = pose.position_enu_m, pose.attitude
+                measurement = self._radio.hear(emitter, position, now_s, attitude)
                 if measurement is not None:
                     messages.append(message_from_ranging(measurement, stamp_us))
         return messages

@@ -218,8 +218,8 @@ class Pilot:
         (east, north, _), (centre_e, centre_n) = body.position_enu_m, self._circle_centre
         angle = math.atan2(east - centre_e, north - centre_n)
         radius_m, speed_mps = self.circle_radius_m, self.circle_radius_m * self.circle_rate_radps
-        place = (centre_e + radius_m * math.sin(angle), centre_n + radius_m * math.cos(angle))
-        back = self._towards((*place, self.hold_enu_m[2]), body)
+        position = (centre_e + radius_m * math.sin(angle), centre_n + radius_m * math.cos(angle))
+        back = self._towards((*position, self.hold_enu_m[2]), body)
         along = (speed_mps * math.cos(angle), -speed_mps * math.sin(angle))
         self._circle_yaw_ned_rad = wrap_pi(angle + math.pi)
         return (back[0] + along[0], back[1] + along[1], back[2])
@@ -258,8 +258,8 @@ class Pilot:
         return (east, north, sticks.up * limit_mps)
 
     def _follow(self, setpoint: Setpoint, body: Kinematics) -> PositionEnu:
-        place, velocity = setpoint.position_en_m, setpoint.velocity_en_mps
-        gives_nothing = (place, setpoint.up_m, velocity, setpoint.climb_mps) == (None,) * 4
+        position, velocity = setpoint.position_en_m, setpoint.velocity_en_mps
+        gives_nothing = (position, setpoint.up_m, velocity, setpoint.climb_mps) == (None,) * 4
         if gives_nothing and setpoint.acceleration_enu_mps2 is not None:
             self._is_staying = False
             limit = self._vehicle.max_speed_mps
@@ -275,7 +275,7 @@ class Pilot:
         if gives_nothing:
             return self._come_to_rest(body)
         self._is_staying = False
-        east, north = place or body.position_enu_m[:2]
+        east, north = position or body.position_enu_m[:2]
         up = body.position_enu_m[2] if setpoint.up_m is None else setpoint.up_m
         to_goal = self._towards((east, north, up), body)
         forward_east, forward_north = velocity or (0.0, 0.0)

@@ -243,9 +243,9 @@ class Services:
             messages.append(changed)
             self._store.current = aircraft.mission.current
         owed, self._owed = self._owed, []
-        return owed + [Outgoing(message) for message in messages + self._changed_places()]
+        return owed + [Outgoing(message) for message in messages + self._changed_positions()]
 
-    def _changed_places(self) -> list[Message]:
+    def _changed_positions(self) -> list[Message]:
         """Return home and origin when they move, and ArduPilot's HEARTBEAT on a mode change."""
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         if not vehicle.flavour.has_home(vehicle.time_s):
@@ -365,6 +365,6 @@ class Services:
     def _take_origin(
         self, message: mavlink.MAVLink_set_gps_global_origin_message, *_: object
     ) -> None:
-        place = (message.latitude, message.longitude)
-        if self._firmware.takes_origin and is_on_earth(*place):
-            self._vehicle.aircraft.set_origin(*place, message.altitude)
+        position = (message.latitude, message.longitude)
+        if self._firmware.takes_origin and is_on_earth(*position):
+            self._vehicle.aircraft.set_origin(*position, message.altitude)

@@ -150,8 +150,8 @@ def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     origin = vehicle.origin
-    place = to_e7((origin.latitude_deg, origin.longitude_deg, origin.altitude_m))
-    return (*place, boot_us(vehicle))
+    position = to_e7((origin.latitude_deg, origin.longitude_deg, origin.altitude_m))
+    return (*position, boot_us(vehicle))
 
 
 def autopilot_version(vehicle: SimVehicle) -> Fields:

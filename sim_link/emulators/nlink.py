@@ -80,7 +80,7 @@ class NodeState:
 
     eop: bytes = b"\xff\xff\xff"
     """Expected error of east, north, up in centimetres."""
-    place_m: PositionEnu = (0.0, 0.0, 0.0)
+    position_m: PositionEnu = (0.0, 0.0, 0.0)
     velocity_mps: PositionEnu = (0.0, 0.0, 0.0)
     inertial: bytes = bytes(71)
     """Gyroscope, accelerometer and derived fields in their order of the frame."""
@@ -129,7 +129,7 @@ def node_frame5(node: Node, peers: Sequence[Peer]) -> bytes:
 def node_frame2(node: Node, motion: NodeState, peers: Sequence[Peer]) -> bytes:
     """Return LinkTrack_NodeFrame2: position and motion, and ranges."""
     body = struct.pack("<BBI", node.role, node.id, node.system_ms % U32) + motion.eop
-    body += b"".join(int24(metres) for metres in motion.place_m)
+    body += b"".join(int24(metres) for metres in motion.position_m)
     body += b"".join(int24(mps, 1e4) for mps in motion.velocity_mps) + motion.inertial
     body += struct.pack("<I", node.local_ms % U32) + motion.reserved + node.millivolts
     body += bytes((len(peers),))

@@ -89,7 +89,7 @@ class Lines(RangeLines):
 
 
 def sx1280_valid(raw: int, rssi_dbm: int) -> str:
-    """Return a register in hexadecimal, and its metres to one place."""
+    """Return a register in hexadecimal, and its metres to one decimal."""
     rssi = f"RSSIReg,{clamped(-2.0 * rssi_dbm, 0, 255):X},RSSI,{rssi_dbm}dBm"
     return f"Valid,Register,{raw:X},Distance,{raw * RAW_STEP_M:.1f},{rssi}"
 

@@ -167,22 +167,22 @@ class Sr150(Emulator):
 
 
 def pans_anchor(
-    address: int, distance_mm: int, place_m: PositionEnu = (0.0, 0.0, 0.0), quality: int = 100
+    address: int, distance_mm: int, position_m: PositionEnu = (0.0, 0.0, 0.0), quality: int = 100
 ) -> bytes:
     """Return distance, its quality and position of one anchor in a tag's answer, 20 bytes."""
-    place_mm = (round(1e3 * metres) for metres in place_m)
+    position_mm = (round(1e3 * metres) for metres in position_m)
     head = struct.pack("<HIB", address, distance_mm, quality)
-    return head + struct.pack("<iiiB", *place_mm, 100)
+    return head + struct.pack("<iiiB", *position_mm, 100)
 
 
 LOC_GET, UNKNOWN_COMMAND = b"\x0c\x00", b"\x40\x01\x01"
 
 
-def pans_location(place_m: PositionEnu, quality: int, anchors: Sequence[bytes]) -> bytes:
+def pans_location(position_m: PositionEnu, quality: int, anchors: Sequence[bytes]) -> bytes:
     """Return the answer to `dwm_loc_get`: no error, the tag's position, its anchors."""
-    place = struct.pack("<iiiB", *(round(1e3 * metres) for metres in place_m), quality)
+    position = struct.pack("<iiiB", *(round(1e3 * metres) for metres in position_m), quality)
     distances = bytes((len(anchors),)) + b"".join(anchors)
-    return b"\x40\x01\x00\x41\x0d" + place + bytes((0x49, len(distances))) + distances
+    return b"\x40\x01\x00\x41\x0d" + position + bytes((0x49, len(distances))) + distances
 
 
 class PansTlv(Emulator):

@@ -32,13 +32,13 @@ SUPERFRAME_US = 100_000
 
 
 def dist_line(
-    anchors: Sequence[tuple[str, PositionEnu, float]], place: tuple[float, float, float, int]
+    anchors: Sequence[tuple[str, PositionEnu, float]], position: tuple[float, float, float, int]
 ) -> str:
     """Format the line of `lec`: anchors with id, position and range; the tag's own position."""
     text = f"DIST,{len(anchors)}"
     for number, (name, (x, y, z), range_m) in enumerate(anchors):
         text += f",AN{number},{name},{x:.2f},{y:.2f},{z:.2f},{range_m:.2f}"
-    x, y, z, quality = place
+    x, y, z, quality = position
     return f"{text},POS,{x:.2f},{y:.2f},{z:.2f},{quality}"
 
 
@@ -161,8 +161,8 @@ class PdoaJs(Emulator):
             )
             phase_mrad = round(1e3 * math.pi * math.sin(angle_rad))
         ranged = {"R": number, "T": time_us, "D": round(range_cm), "P": phase_mrad}
-        placed = {"Xcm": x_cm, "Ycm": y_cm, "O": 14, "V": 1, "X": 12, "Y": -31, "Z": 1003}
-        return {"a16": self.name_on_wire(answer.emitter_id), **ranged, **placed}
+        located = {"Xcm": x_cm, "Ycm": y_cm, "O": 14, "V": 1, "X": 12, "Y": -31, "Z": 1003}
+        return {"a16": self.name_on_wire(answer.emitter_id), **ranged, **located}
 
 
 def at_range(

@@ -72,8 +72,8 @@ class GeodeticEmitter:
     def local(self, origin: LocalOrigin) -> Emitter:
         """Return the same in the local frame."""
         altitude_m = origin.altitude_m if self.altitude_m is None else self.altitude_m
-        place = (self.latitude_deg, self.longitude_deg, altitude_m)
-        east, north, up = origin.enu_from_geodetic(*place)
+        position = (self.latitude_deg, self.longitude_deg, altitude_m)
+        east, north, up = origin.enu_from_geodetic(*position)
         height_m = 0.0 if self.altitude_m is None else up
         params = EmitterParams(
             emitter_id=self.emitter_id, position_enu_m=(east, north), height_m=height_m
@@ -116,7 +116,7 @@ class RadioFollower(OneShotEndpoint):
         """Rounds that are still to be sent."""
         self._wanted = tuple(emitters)
         self._emitters: tuple[Emitter, ...] = ()
-        self._place_emitters([each for each in emitters if isinstance(each, Emitter)])
+        self._set_emitters([each for each in emitters if isinstance(each, Emitter)])
         self._link = SEND if has_own_link or emulator is not None else FOLLOW
         self._codec = MavCodec(1, PAYLOAD_ID)
         self._reader = MavCodec(0, 0)
@@ -171,10 +171,10 @@ class RadioFollower(OneShotEndpoint):
         match message:
             case mavlink.MAVLink_local_position_ned_message():
                 self._position_heard_s = now_s
-                place = enu_from_ned((message.x, message.y, message.z))
-                if all(math.isfinite(value) for value in place):
+                position = enu_from_ned((message.x, message.y, message.z))
+                if all(math.isfinite(value) for value in position):
                     stamp_s = message.time_boot_ms / 1000.0
-                    self._measure(place, stamp_s)
+                    self._measure(position, stamp_s)
                     while self._late and self._late[0].sent_at_s <= stamp_s:
                         due = self._late.popleft()
                         if self._emulator is not None:
@@ -198,16 +198,16 @@ class RadioFollower(OneShotEndpoint):
                     self._projection,
                 )
                 wanted = self._wanted
-                self._place_emitters(
+                self._set_emitters(
                     [e if isinstance(e, Emitter) else e.local(origin) for e in wanted]
                 )
 
-    def _place_emitters(self, emitters: Sequence[Emitter]) -> None:
+    def _set_emitters(self, emitters: Sequence[Emitter]) -> None:
         self._emitters = tuple(emitters)
         for emitter in self._emitters:
             self._radio.prepare(emitter)
 
-    def _measure(self, place: PositionEnu, stamp_s: float) -> None:
+    def _measure(self, position: PositionEnu, stamp_s: float) -> None:
         period_s = 1.0 / self._params.rate_hz
         if stamp_s < self._measured_at_s:  # the autopilot restarted
             self._measured_at_s = -math.inf
@@ -217,15 +217,15 @@ class RadioFollower(OneShotEndpoint):
         late_s = stamp_s - self._measured_at_s - period_s
         # steady on average though positions come when they come
         self._measured_at_s = stamp_s - late_s if 0.0 < late_s < period_s else stamp_s
-        answers = tuple(self._asked(emitter, place, stamp_s) for emitter in self._emitters)
+        answers = tuple(self._asked(emitter, position, stamp_s) for emitter in self._emitters)
         self._late.append(Round(stamp_s + self._params.lag_s, answers))
 
-    def _asked(self, emitter: Emitter, place: PositionEnu, stamp_s: float) -> Answer:
+    def _asked(self, emitter: Emitter, position: PositionEnu, stamp_s: float) -> Answer:
         """Answer of an emitter; for an emulator, a bearing from north becomes one from the nose."""
         heard = None
-        is_high = place[2] - self._ground_up_m >= self._params.min_altitude_m
-        if is_high and emitter.slant_range_m(place) <= self._params.max_range_m:
-            heard = self._radio.hear(emitter, place, stamp_s, self._attitude)
+        is_high = position[2] - self._ground_up_m >= self._params.min_altitude_m
+        if is_high and emitter.slant_range_m(position) <= self._params.max_range_m:
+            heard = self._radio.hear(emitter, position, stamp_s, self._attitude)
         self.measurements += heard is not None
         if heard is None or self._emulator is None or self._emulator.reports_north:
             return Answer(emitter.emitter_id, heard)
@@ -402,8 +402,8 @@ def parse_emitter(text: str, number: int) -> GeodeticEmitter:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    is_place = len(values) in (2, 3) and all(map(math.isfinite, values))
-    if not is_place or abs(values[0]) > 89.0 or abs(values[1]) > 180.0:
+    is_valid = len(values) in (2, 3) and all(map(math.isfinite, values))
+    if not is_valid or abs(values[0]) > 89.0 or abs(values[1]) > 180.0:
         raise ConfigError(f"--emitter {text}: give LAT,LON or LAT,LON,AMSL, for example 47.4,8.55")
     altitude_m = values[2] if len(values) == 3 else None
     return GeodeticEmitter(number, values[0], values[1], altitude_m)

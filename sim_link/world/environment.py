@@ -7,7 +7,7 @@ bend. In the shadow of an obstacle every path is obstructed, and both have two p
     excess = detour_share * (shortest detour - straight path) + extra,  extra exponential
     bend   = pull_share * (direction of the detour - direction of the emitter) + bias,  bias normal
 
-The first follows from the place alone (`line_of_sight`). The second is a first-order Gauss-Markov
+The first follows from the position (`line_of_sight`). The second is a first-order Gauss-Markov
 process over the distance that the sensor moves between shadowed measurements, correlation
 exp(-distance / L) (M. Gudmundson, Electronics Letters 27, 1991). An exponential variable is half
 the squared length of a pair of standard normals, which the uniform and the exponential number of a
@@ -240,10 +240,10 @@ def open_obstruction(
 
 @kernel
 def remembered(
-    drawn: Drawn, place: PositionEnu, correlation_m: float, memory: ShadowMemory
+    drawn: Drawn, position: PositionEnu, correlation_m: float, memory: ShadowMemory
 ) -> ShadowMemory:
     """Return the part, correlated over a length in m (0: none), at the next measurement."""
-    (uniform, exponential, normal), (e, n, up) = drawn, place
+    (uniform, exponential, normal), (e, n, up) = drawn, position
     kept = 0.0
     if correlation_m > 0.0 and not math.isnan(memory.east_m):
         moved_m = math.hypot(math.hypot(e - memory.east_m, n - memory.north_m), up - memory.up_m)
@@ -263,7 +263,7 @@ def remembered(
 @kernel
 def obstruction(
     drawn: Drawn,
-    place: PositionEnu,
+    position: PositionEnu,
     open_path: OpenPath,
     shadow: Shadow,
     surroundings: Surroundings,
@@ -274,12 +274,12 @@ def obstruction(
     The position is the sensor's (height 0 in the plane); the memory of the measurement before is
     `NO_MEMORY` at first. Paper: b of eq. (1).
     """
-    e, n, up = place
+    e, n, up = position
     around = surroundings
     if not is_blocked_in_space(around.east_m, around.north_m, around.up_m, e, n, up, around.edges):
         excess_m, bend_rad = open_obstruction(drawn[0], drawn[1], drawn[2], open_path)
         return excess_m, bend_rad, memory
-    memory = remembered(drawn, place, shadow.correlation_m, memory)
+    memory = remembered(drawn, position, shadow.correlation_m, memory)
     pair = 0.5 * (memory.first * memory.first + memory.second * memory.second)
     excess_m = shadow.extra_mean_m * pair
     bend_rad = shadow.bend_sigma_rad * memory.bend

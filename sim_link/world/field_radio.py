@@ -86,22 +86,22 @@ def is_within(share: float, normal: float) -> bool:
     return 0.5 * math.erfc(-normal / math.sqrt(2.0)) < share
 
 
-class PlaceNormals:
+class CorrelatedNormals:
     """Standard normals that are spatially correlated."""
 
     def __init__(self) -> None:
         self._values: list[float] = []
-        self._place: PositionEnu = (0.0, 0.0, 0.0)
+        self._position: PositionEnu = (0.0, 0.0, 0.0)
 
-    def move(self, fresh: list[float], place: PositionEnu, correlation_m: float) -> list[float]:
+    def move(self, fresh: list[float], position: PositionEnu, correlation_m: float) -> list[float]:
         """Return the draws at a later position; a correlation of 0 forgets at once."""
         kept = 0.0
         if self._values and correlation_m > 0.0:
-            kept = math.exp(-math.dist(place, self._place) / correlation_m)
+            kept = math.exp(-math.dist(position, self._position) / correlation_m)
         old = self._values or fresh
         new = math.sqrt(1.0 - kept * kept)
         self._values = [kept * was + new * now for was, now in zip(old, fresh, strict=True)]
-        self._place = place
+        self._position = position
         return self._values
 
 
@@ -109,8 +109,8 @@ class PlaceNormals:
 class _Path:
     """Spatially correlated state of the path to one emitter."""
 
-    path: PlaceNormals = field(default_factory=PlaceNormals)
-    gross: PlaceNormals = field(default_factory=PlaceNormals)
+    path: CorrelatedNormals = field(default_factory=CorrelatedNormals)
+    gross: CorrelatedNormals = field(default_factory=CorrelatedNormals)
     excess: ShadowMemory = NO_MEMORY
 
 
@@ -118,7 +118,7 @@ class _Moment(NamedTuple):
     """One measurement with its random draws."""
 
     emitter: Emitter
-    place: PositionEnu
+    position: PositionEnu
     attitude: EulerAngles
     params: FieldChannelParams
     draw: ChannelDraw
@@ -133,7 +133,7 @@ class _Moment(NamedTuple):
     @property
     def direction(self) -> Components:
         """East, north, up."""
-        return direction_enu(self.place, self.emitter.position_enu_m)
+        return direction_enu(self.position, self.emitter.position_enu_m)
 
     @property
     def gross_direction(self) -> Components | None:
@@ -172,17 +172,17 @@ class FieldRadio(RadioChannel):
         self._paths.clear()
 
     def hear(
-        self, emitter: Emitter, place: PositionEnu, time_s: float, attitude: EulerAngles = LEVEL
+        self, emitter: Emitter, position: PositionEnu, time_s: float, attitude: EulerAngles = LEVEL
     ) -> RangingMeasurement | None:
-        """Return one measurement of `emitter` from a place, local east, north, up.
+        """Return one measurement of `emitter` from a position, local east, north, up.
 
         None: it is lost.
         """
         params = in_the_field(self._params_of(emitter))
         is_plain = self._antenna.kind == "ideal" and self._measures == "both"
         if is_plain and params.is_as_in_the_paper:
-            return self.measure(emitter, place, time_s)
-        moment = self._moment(emitter, place, attitude, params)
+            return self.measure(emitter, position, time_s)
+        moment = self._moment(emitter, position, attitude, params)
         margin_db = self._margin_db(moment)
         if margin_db <= 0.0:
             return None
@@ -197,7 +197,7 @@ class FieldRadio(RadioChannel):
     def _moment(
         self,
         emitter: Emitter,
-        place: PositionEnu,
+        position: PositionEnu,
         attitude: EulerAngles,
         params: FieldChannelParams,
     ) -> _Moment:
@@ -207,13 +207,13 @@ class FieldRadio(RadioChannel):
             part.tolist() for part in np.split(fresh, (PATH_NORMALS, PATH_NORMALS + GROSS_NORMALS))
         )
         path, correlation_m = self._path(emitter), params.correlation_m
-        if self._environment is not None and self._is_shaded(emitter, place):
+        if self._environment is not None and self._is_shaded(emitter, position):
             correlation_m = max(correlation_m, self._environment.shadow.correlation_m)
-        blocking, bend_up, shadow = path.path.move(path_fresh, place, correlation_m)
-        gross = path.gross.move(gross_fresh, place, params.gross_correlation_m)
+        blocking, bend_up, shadow = path.path.move(path_fresh, position, correlation_m)
+        gross = path.gross.move(gross_fresh, position, params.gross_correlation_m)
         self._blocking_normal = blocking
-        draw = self.draw(emitter, place)
-        return _Moment(emitter, place, attitude, params, draw, bend_up, shadow, gross, free)
+        draw = self.draw(emitter, position)
+        return _Moment(emitter, position, attitude, params, draw, bend_up, shadow, gross, free)
 
     def _path(self, emitter: Emitter) -> _Path:
         return self._paths.setdefault(emitter.position_enu_m, _Path())
@@ -233,11 +233,11 @@ class FieldRadio(RadioChannel):
         pair = 0.5 * (kept.first * kept.first + kept.second * kept.second)
         return open_path.bias_mean_m * pair, open_path.bend_sigma_rad * kept.bend, memory
 
-    def _is_shaded(self, emitter: Emitter, place: PositionEnu) -> bool:
+    def _is_shaded(self, emitter: Emitter, position: PositionEnu) -> bool:
         if self._environment is None:
             return False
         edges = self._around(emitter, self._environment).edges
-        return bool(is_blocked_in_space(*emitter.position_enu_m, *place, edges))
+        return bool(is_blocked_in_space(*emitter.position_enu_m, *position, edges))
 
     def _margin_db(self, moment: _Moment) -> float:
         """Return a packet's margin above the threshold; positive: it is heard."""
@@ -247,10 +247,10 @@ class FieldRadio(RadioChannel):
         walls = 0
         if self._environment is not None:
             edges = self._environment.edges
-            walls = walls_between(*moment.emitter.position_enu_m, *moment.place, edges)
+            walls = walls_between(*moment.emitter.position_enu_m, *moment.position, edges)
         east, north, up = moment.direction
         body = seen_from(moment.attitude, (north, east, -up))
-        slant_m = moment.emitter.slant_range_m(moment.place)
+        slant_m = moment.emitter.slant_range_m(moment.position)
         margin_db = link_margin_db(loss, slant_m, walls, body[2])
         margin_db += loss.shadow_sigma_db * moment.shadow + loss.fading_sigma_db * moment.free[4]
         if loss.obstruction_db > 0.0 and moment.params.range_bias_mean_m > 0.0:
@@ -259,7 +259,7 @@ class FieldRadio(RadioChannel):
         return margin_db
 
     def _range_m(self, moment: _Moment) -> float:
-        params, slant_m = moment.params, moment.emitter.slant_range_m(moment.place)
+        params, slant_m = moment.params, moment.emitter.slant_range_m(moment.position)
         range_m = (
             slant_m
             + params.range_offset_m
@@ -279,7 +279,7 @@ class FieldRadio(RadioChannel):
         draw, gross = moment.draw, moment.gross_direction
         offset_rad = self._character(moment.emitter).bearing_offset_rad
         if self._antenna.kind == "ideal":
-            bearing_rad = moment.emitter.bearing_enu_rad(moment.place) + draw.bearing_bias_rad
+            bearing_rad = moment.emitter.bearing_enu_rad(moment.position) + draw.bearing_bias_rad
             if gross is not None:
                 bearing_rad = math.atan2(gross[1], gross[0])
             bearing_rad += offset_rad + draw.bearing_noise_rad
@@ -296,10 +296,10 @@ class FieldRadio(RadioChannel):
             return direction
         aside_rad = draw.bearing_bias_rad
         up_sigma_rad = self._character(moment.emitter).open_path.bend_sigma_rad
-        if self._environment is not None and self._is_shaded(moment.emitter, moment.place):
+        if self._environment is not None and self._is_shaded(moment.emitter, moment.position):
             shadow = self._environment.shadow
             around = self._around(moment.emitter, self._environment)
-            pull_rad = shadow.pull_share * detour(*moment.place, around)[1]
+            pull_rad = shadow.pull_share * detour(*moment.position, around)[1]
             direction = turned_about_vertical(direction, pull_rad)
             aside_rad -= pull_rad
             up_sigma_rad = shadow.bend_sigma_rad

@@ -157,17 +157,17 @@ class RadioChannel:
         return _character_of(self._params_of(emitter))
 
     def _around(self, emitter: Emitter, environment: Environment) -> Surroundings:
-        place = emitter.position_enu_m
-        if place not in self._surroundings:
-            self._surroundings[place] = environment.around(place)
-        return self._surroundings[place]
+        position = emitter.position_enu_m
+        if position not in self._surroundings:
+            self._surroundings[position] = environment.around(position)
+        return self._surroundings[position]
 
     def _obstruction(
         self, drawn: Drawn, emitter: Emitter, sensor_enu_m: PositionEnu
     ) -> tuple[float, float, ShadowMemory]:
         """Return range excess, bearing bias and the shadow's memory."""
-        place, open_path = emitter.position_enu_m, self._character(emitter).open_path
-        memory = self._memories.get(place, NO_MEMORY)
+        position, open_path = emitter.position_enu_m, self._character(emitter).open_path
+        memory = self._memories.get(position, NO_MEMORY)
         if self._environment is None:
             return *open_obstruction(*drawn, open_path), memory
         shadow, surroundings = self._environment.shadow, self._around(emitter, self._environment)

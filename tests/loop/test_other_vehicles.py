@@ -120,7 +120,7 @@ class Sky(Loop):
     @property
     def other_moved_m(self) -> float:
         (other,) = self.flight.neighbours
-        return math.dist(other.place_enu_m, other.setup.place_enu_m)
+        return math.dist(other.position_enu_m, other.setup.position_enu_m)
 
 
 OURS_1_1 = OtherVehicle(system_id=1)

@@ -158,7 +158,7 @@ def rate_hz(client: SetpointClient, kind: type[Message], mark: int) -> float:
 def measure_reaction(pilot: SetpointClient) -> list[int]:
     """Return the steps in flight from each setpoint's arrival to the echo that shows it."""
     pilot.take_off()
-    north, east, down = pilot.place()
+    north, east, down = pilot.position()
     stop = pilot.enter_offboard(LocalSetpoint((north, east, down)))
     pilot.set_interval(Echo, TICK_MS / 1e3)
     pilot.run(1.0)

@@ -40,7 +40,7 @@ from sim_link.autopilot.flavour import (
     chooses,
     is_altitude,
     is_force,
-    is_place,
+    is_valid_position,
     may_change_mode,
     set_home,
     terminate,
@@ -113,9 +113,9 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
 
 def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     aircraft = flavour.aircraft
-    place, altitude_m = command.place_e7, command.params[6]
+    position, altitude_m = command.position_e7, command.params[6]
     frame = -1 if command.frame is None else command.frame
-    if frame not in GLOBAL_FRAMES or place is None or not is_place(place):
+    if frame not in GLOBAL_FRAMES or position is None or not is_valid_position(position):
         return DENIED
     if not is_altitude(altitude_m):
         aircraft.say(ERROR, "Reposition: altitude is not a number")
@@ -124,7 +124,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
         if not may_change_mode(command) or flavour.choose(GUIDED, now_s) != ACCEPTED:
             return DENIED
         flavour.settle(now_s, "commanded")
-    goal = aircraft.place_from(*place, altitude_m, frame)
+    goal = aircraft.position_from(*position, altitude_m, frame)
     if goal is None or flavour.fence_margin_m(goal) < 0.0:
         return FAILED
     yaw = command.params[3]

@@ -91,15 +91,15 @@ def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
     frame = message.coordinate_frame
     if frame not in LOCAL_FRAMES:
         return _refused(f"frame {frame} not supported")
-    place: PositionEnu | None = None
+    position: PositionEnu | None = None
     if not message.type_mask & dialect.POSITION_IGNORE:
         if not (math.isfinite(message.x) and math.isfinite(message.y)) or math.isnan(message.z):
             return _refused("position is not a number")
-        place = _local_place(message, aircraft)
-    return _target(message, place, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
+        position = _local_position(message, aircraft)
+    return _target(message, position, aircraft.heading_ned_rad if frame in BODY_FRAMES else None)
 
 
-def _local_place(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
+def _local_position(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
     """Return the position; any frame but LOCAL_NED is an offset from the vehicle."""
     z = max(-OUT_OF_SIGHT_M, min(OUT_OF_SIGHT_M, message.z))
     if message.coordinate_frame == LOCAL_NED:
@@ -125,8 +125,8 @@ def target_from_global(message: GlobalTarget, aircraft: Aircraft) -> Target:
     altitude_m = message.alt
     if frame in TERRAIN_FRAMES:  # without terrain data it goes for the ground
         frame, altitude_m = mavlink.MAV_FRAME_GLOBAL, aircraft.estimator.world_origin.altitude_m
-    place = aircraft.place_from(message.lat_int, message.lon_int, altitude_m, frame)
-    return _target(message, place, None)
+    position = aircraft.position_from(message.lat_int, message.lon_int, altitude_m, frame)
+    return _target(message, position, None)
 
 
 def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
@@ -142,7 +142,7 @@ def target_from(message: PositionTarget, aircraft: Aircraft) -> Target | None:
 
 
 def _target(
-    message: PositionTarget, place: PositionEnu | None, body_yaw_rad: float | None
+    message: PositionTarget, position: PositionEnu | None, body_yaw_rad: float | None
 ) -> Target:
     """Return the target at a position (None: none), its vectors about a heading (None: north)."""
     mask = message.type_mask
@@ -153,7 +153,7 @@ def _target(
     given = [yaw or 0.0, yaw_rate or 0.0]
     given += (message.vx, message.vy, message.vz) if has_velocity else ()
     given += (message.afx, message.afy, message.afz) if has_acceleration else ()
-    is_understood = has_velocity or (place is not None) is not has_acceleration
+    is_understood = has_velocity or (position is not None) is not has_acceleration
     if not is_understood or not all(map(math.isfinite, given)):
         return Target(None)
     if yaw is not None:
@@ -161,8 +161,8 @@ def _target(
     east, north, climb_mps = enu_of(message.vx, message.vy, message.vz, body_yaw_rad)
     acceleration = enu_of(message.afx, message.afy, message.afz, body_yaw_rad)
     setpoint = Setpoint(
-        position_en_m=None if place is None else place[:2],
-        up_m=None if place is None else place[2],
+        position_en_m=None if position is None else position[:2],
+        up_m=None if position is None else position[2],
         velocity_en_mps=(east, north) if has_velocity else None,
         climb_mps=climb_mps if has_velocity else None,
         acceleration_enu_mps2=acceleration if has_acceleration else None,
@@ -174,10 +174,10 @@ def _target(
 
 def _run_on(setpoint: Setpoint, dt_s: float) -> Setpoint:
     """Return a position target moved on by its velocity; others unchanged."""
-    place, velocity, up_m = setpoint.position_en_m, setpoint.velocity_en_mps, setpoint.up_m
-    if place is None or velocity is None or up_m is None:
+    position, velocity, up_m = setpoint.position_en_m, setpoint.velocity_en_mps, setpoint.up_m
+    if position is None or velocity is None or up_m is None:
         return setpoint
-    moved = (place[0] + velocity[0] * dt_s, place[1] + velocity[1] * dt_s)
+    moved = (position[0] + velocity[0] * dt_s, position[1] + velocity[1] * dt_s)
     up_m += (setpoint.climb_mps or 0.0) * dt_s
     return replace(setpoint, position_en_m=moved, up_m=up_m)
 
@@ -225,11 +225,11 @@ class Guided:
         if self.state is not GuidedState.FOLLOWING:
             return Echo(NOTHING, STILL, STILL)
         setpoint = self.setpoint
-        place: Axes = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
+        position: Axes = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
         if setpoint.velocity_en_mps is None:
-            return Echo(place, NOTHING, setpoint.acceleration_enu_mps2 or NOTHING)
+            return Echo(position, NOTHING, setpoint.acceleration_enu_mps2 or NOTHING)
         velocity = (*setpoint.velocity_en_mps, setpoint.climb_mps or 0.0)
-        return Echo(place, velocity, setpoint.acceleration_enu_mps2 or STILL)
+        return Echo(position, velocity, setpoint.acceleration_enu_mps2 or STILL)
 
     def stop(self) -> None:
         """Stay in place until something is commanded, as when the mode begins."""

@@ -152,7 +152,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         is_down = sticks is None or sticks.up <= -1.0 + THROTTLE_DEAD_ZONE
         return None if is_down else "Throttle (RC3) is not neutral"
 
-    def fence_margin_m(self, place: PositionEnu) -> float:
+    def fence_margin_m(self, position: PositionEnu) -> float:
         """Return the distance to the nearest breach, negative in one.
 
         Infinite while the fence is off.
@@ -161,20 +161,20 @@ class ArduPilotFlavour(AutopilotFlavour):
         parts = int(value["FENCE_TYPE"]) if value["FENCE_ENABLE"] else 0
         margin = math.inf
         if parts & ALTITUDE_MAX:
-            margin = min(margin, value["FENCE_ALT_MAX"] - (place[2] - home[2]))
+            margin = min(margin, value["FENCE_ALT_MAX"] - (position[2] - home[2]))
         if parts & CIRCLE:
-            margin = min(margin, value["FENCE_RADIUS"] - math.dist(place[:2], home[:2]))
+            margin = min(margin, value["FENCE_RADIUS"] - math.dist(position[:2], home[:2]))
         if parts & POLYGON:
-            margin = min(margin, self.aircraft.fence.margin_m(place))
+            margin = min(margin, self.aircraft.fence.margin_m(position))
         return margin
 
-    def fence_state(self, place: PositionEnu) -> FenceState:
+    def fence_state(self, position: PositionEnu) -> FenceState:
         """Return the fence's state: FENCE_TYPE has its parts, FENCE_ENABLE activates them."""
         parts = int(self.parameters["FENCE_TYPE"])
         has_areas = bool(parts & POLYGON) and not self.aircraft.fence.is_empty
         is_present = has_areas or bool(parts & ~POLYGON)
         is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
-        return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
+        return FenceState(is_present, is_enabled, self.fence_margin_m(position) < 0.0)
 
     def choose(self, mode: CopterMode, now_s: float) -> int:
         """Change the mode; return a MAV_RESULT, and send the reason as a text if refused."""
@@ -254,8 +254,12 @@ class ArduPilotFlavour(AutopilotFlavour):
         if target.text:
             self.aircraft.say(WARNING, target.text)
         setpoint = target.setpoint or Setpoint()
-        place, up_m = setpoint.position_en_m, setpoint.up_m
-        if place is not None and up_m is not None and self.fence_margin_m((*place, up_m)) < 0.0:
+        position, up_m = setpoint.position_en_m, setpoint.up_m
+        if (
+            position is not None
+            and up_m is not None
+            and self.fence_margin_m((*position, up_m)) < 0.0
+        ):
             return
         self.guided.take(target, now_s, is_on_ground=self.aircraft.body.is_on_ground)
         self.settle(now_s)
@@ -342,16 +346,16 @@ class ArduPilotFlavour(AutopilotFlavour):
         if not self.parameters["FENCE_ENABLE"] or self.guided.is_latched:
             return False
         body, setpoint = self.aircraft.motion, self.guided.setpoint
-        place = body.position_enu_m
-        rest = stopping_point(place, body.velocity_enu_mps, self.aircraft.scenario.vehicle)
+        position = body.position_enu_m
+        rest = stopping_point(position, body.velocity_enu_mps, self.aircraft.scenario.vehicle)
         if self.fence_margin_m(rest) >= self.parameters["FENCE_MARGIN"]:
             return False
         east, north = setpoint.velocity_en_mps or (0.0, 0.0)
         wanted = (east, north, setpoint.climb_mps or 0.0)
         if setpoint.velocity_en_mps is None:
             wanted = setpoint.acceleration_enu_mps2 or wanted
-        ahead = (place[0] + wanted[0], place[1] + wanted[1], place[2] + wanted[2])
-        return self.fence_margin_m(ahead) < self.fence_margin_m(place)
+        ahead = (position[0] + wanted[0], position[1] + wanted[1], position[2] + wanted[2])
+        return self.fence_margin_m(ahead) < self.fence_margin_m(position)
 
     def heartbeat_state(self, now_s: float) -> HeartbeatState:  # noqa: ARG002  the base gives the time
         """Return the state for HEARTBEAT: on the ground STANDBY, also when armed."""

@@ -81,18 +81,18 @@ class Command:
     acknowledged_as: int | None = None
     """Command number in the ACK, if it differs from the command's own."""
 
-    def whole(self, place: int, default: int | None = None) -> int | None:
-        """Return a parameter that must be a whole number.
+    def whole(self, number: int, default: int | None = None) -> int | None:
+        """Return the parameter of this number, from 1, which must be a whole number.
 
         None if it is not, `default` if it is NaN.
         """
-        value = self.params[place - 1]
+        value = self.params[number - 1]
         if math.isnan(value):
             return default
         return int(value) if math.isfinite(value) and value == int(value) else None
 
     @property
-    def place_e7(self) -> tuple[int, int] | None:
+    def position_e7(self) -> tuple[int, int] | None:
         """Parameters 5 and 6 as latitude and longitude, 1e-7 degrees; None if one is left open."""
         x, y = self.params[4:6]
         if self.frame is not None:

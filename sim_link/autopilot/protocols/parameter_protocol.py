@@ -288,7 +288,7 @@ class Parameters:
             due = math.floor((now_s - listing.started_s) * self._rules.list_rate_hz) + 1
             end = min(due, listing.sent + MAX_BURST, self._list_length)
             outgoing += [
-                Outgoing(self._listed(place), channel) for place in range(listing.sent, end)
+                Outgoing(self._listed(index), channel) for index in range(listing.sent, end)
             ]
             listing.sent = max(end, listing.sent)
             if listing.sent >= self._list_length:
@@ -307,10 +307,10 @@ class Parameters:
     def _list_length(self) -> int:
         return len(self.store) + self._rules.has_hash_check
 
-    def _listed(self, place: int) -> Message:
+    def _listed(self, index: int) -> Message:
         if not self._rules.has_hash_check:
-            return self._value(place)
-        return self._hash_check() if place == 0 else self._value(place - 1)
+            return self._value(index)
+        return self._hash_check() if index == 0 else self._value(index - 1)
 
     def _value(self, index: int, *, is_named: bool = False) -> Message:
         spec = self.store.specs[index]

@@ -153,19 +153,19 @@ def plan_problem(items: Sequence[PlanItem], plan_type: PlanType) -> PlanResult |
 
 
 def _fence_problem(items: Sequence[PlanItem]) -> PlanResult | None:
-    place = 0
-    while place < len(items):
-        first = items[place]
+    index = 0
+    while index < len(items):
+        first = items[index]
         if first.command not in POLYGON_COMMANDS:
-            place += 1
+            index += 1
             continue
         count = int(first.params[0])
-        polygon = items[place : place + count]
+        polygon = items[index : index + count]
         if len(polygon) < count:
             return PlanResult.INVALID_PARAM1
         if any((v.command, v.params[0]) != (first.command, count) for v in polygon):
             return PlanResult.INVALID_PARAM1
-        place += count
+        index += count
     return None
 
 

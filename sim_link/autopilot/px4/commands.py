@@ -24,7 +24,7 @@ from sim_link.autopilot.flavour import (
     chooses,
     is_altitude,
     is_force,
-    is_place,
+    is_valid_position,
     may_change_mode,
     set_home,
     terminate,
@@ -87,14 +87,14 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     up_m = aircraft.up_from(altitude_m, frame)
     if up_m is None:
         return UNSUPPORTED_MAV_FRAME
-    place = command.place_e7
-    if place is None or not aircraft.is_armed:
+    position = command.position_e7
+    if position is None or not aircraft.is_armed:
         return UNSUPPORTED
-    if not is_place(place):
+    if not is_valid_position(position):
         return DENIED
     if aircraft.body.is_on_ground:
         return TEMPORARILY_REJECTED
-    located = aircraft.place_from(*place, 0.0, GLOBAL)
+    located = aircraft.position_from(*position, 0.0, GLOBAL)
     assert located is not None
     east, north, _ = located
     up_m = aircraft.motion.position_enu_m[2] if math.isnan(altitude_m) else up_m

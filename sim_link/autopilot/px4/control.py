@@ -80,8 +80,8 @@ def setpoint_from_local(message: LocalTarget, aircraft: Aircraft) -> Setpoint | 
     has_position = mask & dialect.POSITION_IGNORE != dialect.POSITION_IGNORE
     match message.coordinate_frame:
         case mavlink.MAV_FRAME_LOCAL_NED:
-            place = aircraft.estimator.world_from_local(enu_from_ned(position_ned))
-            return _assemble(message, mask, place if has_position else None)
+            position = aircraft.estimator.world_from_local(enu_from_ned(position_ned))
+            return _assemble(message, mask, position if has_position else None)
         case mavlink.MAV_FRAME_BODY_NED if not has_position:
             return _assemble(message, mask, None, aircraft.heading_ned_rad)
     return None
@@ -107,10 +107,10 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
         altitude_m += aircraft.estimator.world_origin.altitude_m + aircraft.motion.ground_up_m
     elif frame == RELATIVE_FRAME:
         altitude_m += 2.0 * aircraft.estimator.origin.altitude_m - aircraft.home_altitude_m
-    place = aircraft.place_from(
+    position = aircraft.position_from(
         message.lat_int, message.lon_int, altitude_m, mavlink.MAV_FRAME_GLOBAL
     )
-    return _assemble(message, mask, place)
+    return _assemble(message, mask, position)
 
 
 def effective_mask(message: PositionTarget, position: tuple[float, float, float]) -> int | None:

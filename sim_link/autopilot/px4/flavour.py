@@ -149,25 +149,25 @@ class Px4Flavour(AutopilotFlavour):
             return "outside the geofence"
         return None
 
-    def fence_margin_m(self, place: PositionEnu) -> float:
+    def fence_margin_m(self, position: PositionEnu) -> float:
         """Return the distance from a position to the nearest fence breach, negative in one."""
-        margin = self.aircraft.fence.margin_m(place)
+        margin = self.aircraft.fence.margin_m(position)
         home = self.aircraft.home_enu_m
         horizontal_m = self.parameters["GF_MAX_HOR_DIST"]
         vertical_m = self.parameters["GF_MAX_VER_DIST"]
         if horizontal_m > 0.0:
-            margin = min(margin, horizontal_m - math.dist(place[:2], home[:2]))
+            margin = min(margin, horizontal_m - math.dist(position[:2], home[:2]))
         if vertical_m > 0.0:
-            margin = min(margin, vertical_m - (place[2] - home[2]))
+            margin = min(margin, vertical_m - (position[2] - home[2]))
         return margin
 
-    def fence_state(self, place: PositionEnu) -> FenceState:
+    def fence_state(self, position: PositionEnu) -> FenceState:
         """Return the fence's state; it is present once uploaded, or a distance is set."""
         value = self.parameters
         has_limits = value["GF_MAX_HOR_DIST"] > 0.0 or value["GF_MAX_VER_DIST"] > 0.0
         is_present = has_limits or not self.aircraft.fence.is_empty
         is_enabled = is_present and value["GF_ACTION"] > 0
-        return FenceState(is_present, is_enabled, self.fence_margin_m(place) < 0.0)
+        return FenceState(is_present, is_enabled, self.fence_margin_m(position) < 0.0)
 
     def _choice_refusal(self, mode: FlightMode, now_s: float) -> str | None:
         """Return the reason why an armed vehicle would refuse a mode now, or None."""
@@ -241,13 +241,13 @@ class Px4Flavour(AutopilotFlavour):
         if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
             return None
         pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint
-        place: Axes = NOTHING if pilot.goal_enu_m is None else pilot.goal_enu_m
+        position: Axes = NOTHING if pilot.goal_enu_m is None else pilot.goal_enu_m
         yaw, yaw_rate = pilot.hold_yaw_ned_rad, 0.0
         if self.task is Task.FOLLOW:
-            place = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
+            position = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
             yaw, yaw_rate = setpoint.yaw_ned_rad, setpoint.yaw_rate_ned_radps or 0.0
         return Echo(
-            place,
+            position,
             pilot.wanted_enu_mps,
             self.aircraft.body.acceleration_enu_mps2,
             self.aircraft.heading_ned_rad if yaw is None else yaw,

@@ -10,13 +10,13 @@ from companion.mav.dialect import Message, mavlink
 from sim_link.lab.conformance import mavlink_oracle as mav
 from sim_link.lab.conformance.mavlink_oracle import METRES_PER_E7, LocalTarget
 from sim_link.lab.conformance.puppet import (
-    PLACE,
+    ORIGIN_E7_MM,
     SETPOINTS,
     CommandMessage,
     CompanionProbe,
     SetpointMessage,
     accept,
-    place_of,
+    position_of,
     stay_silent,
 )
 from sim_link.lab.conformance.rules import PX4, Flavour, RuleBook, assume, require
@@ -353,8 +353,8 @@ class SetpointRules(CompanionProbe):
     def used_fields_are_finite(self) -> None:
         """No field is NaN or infinite, used or not: ArduPilot has died of it."""
         for message in self._all_setpoints():
-            place = ("x", "y", "z") if isinstance(message, LocalTarget) else ("alt",)
-            for name in NEVER_NAN + place:
+            axes = ("x", "y", "z") if isinstance(message, LocalTarget) else ("alt",)
+            for name in NEVER_NAN + axes:
                 require(math.isfinite(getattr(message, name)), f"{name} in {brief(message)}")
 
     @book.rule(f"{OWN_RULE}: nothing protects an autopilot from a wrong setpoint")
@@ -364,10 +364,10 @@ class SetpointRules(CompanionProbe):
             if message.type_mask & 7:
                 continue
             if isinstance(message, LocalTarget):
-                distance_m = math.dist(place_of(message), (10.0, 10.0, self.down_m))
+                distance_m = math.dist(position_of(message), (10.0, 10.0, self.down_m))
             else:
-                place = (message.lat_int, message.lon_int)
-                distance_m = math.dist(place, PLACE[:2]) * METRES_PER_E7
+                position = (message.lat_int, message.lon_int)
+                distance_m = math.dist(position, ORIGIN_E7_MM[:2]) * METRES_PER_E7
             require(distance_m < FAR_M, f"{distance_m:.0f} m away")
 
     @book.rule("MAVLink common, SET_POSITION_TARGET_LOCAL_NED.time_boot_ms")
@@ -392,7 +392,7 @@ class SetpointRules(CompanionProbe):
         for message in self.setpoints(mark):
             require(self.flavour in PX4, "setpoints that this autopilot does not need")
             if isinstance(message, LocalTarget):
-                off_m = math.dist(place_of(message), (10.0, 10.0, self.down_m))
+                off_m = math.dist(position_of(message), (10.0, 10.0, self.down_m))
                 require(off_m <= STAYS_M, f"a setpoint {off_m:.1f} m away in another mode")
 
     @book.rule(f"{OWN_RULE}: a mode that was taken away is not taken back")
@@ -423,9 +423,9 @@ class SetpointRules(CompanionProbe):
         self.run(6.0)
         mark = self.mark
         self.run(2.0)
-        places = {place_of(message) for message in self.setpoints(mark)}
+        positions = {position_of(message) for message in self.setpoints(mark)}
         self.come_back()
-        require(len(places) <= 1, f"{len(places)} different setpoints to a silent vehicle")
+        require(len(positions) <= 1, f"{len(positions)} different setpoints to a silent vehicle")
 
     @book.rule(ROUTING)
     def other_vehicles_mode_changes_nothing(self) -> None:

@@ -141,7 +141,7 @@ class MissionItem:
     autocontinue: int = 1
 
     @property
-    def place(self) -> tuple[int, int, int, float]:
+    def lasting_fields(self) -> tuple[int, int, int, float]:
         """Fields that must survive a round trip on either flavour."""
         return (self.command, self.x, self.y, round(self.z, 3))
 
@@ -287,8 +287,9 @@ class PlanClient(ParameterClient):
 
     def require_stored(self, wanted: Sequence[MissionItem]) -> None:
         """Require that the vehicle has this mission, ArduPilot's home item aside."""
-        found, places = [item.place for item in self.stored()], [item.place for item in wanted]
-        require(found == places, f"the mission is {found}, not {places}")
+        found = [item.lasting_fields for item in self.stored()]
+        expected = [item.lasting_fields for item in wanted]
+        require(found == expected, f"the mission is {found}, not {expected}")
 
     def prepare(self, count: int = 3) -> list[MissionItem]:
         """Upload a mission; return its items without home."""
@@ -307,8 +308,10 @@ class PlanClient(ParameterClient):
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
         params = (stated, 0.0, 0.0, 0.0)
         corners = ((-half, -half), (half, -half), (half, half), (-half, half))
-        places = [(home.latitude + north, home.longitude + east) for north, east in corners]
-        return [MissionItem(command, self._fence_frame, params, *place) for place in places]
+        positions = [(home.latitude + north, home.longitude + east) for north, east in corners]
+        return [
+            MissionItem(command, self._fence_frame, params, *position) for position in positions
+        ]
 
     @property
     def _fence_frame(self) -> int:
@@ -321,8 +324,8 @@ class PlanClient(ParameterClient):
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
         if not self.is_px4:
             frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
-        place = (home.latitude + 900, home.longitude, 15.0)
-        return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *place)]
+        position = (home.latitude + 900, home.longitude, 15.0)
+        return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *position)]
 
     def enable_fence(self) -> None:
         """Have PX4 hold at its fence, ArduPilot keep within it; `NotApplicable`: it cannot."""
@@ -365,14 +368,14 @@ class SetpointClient(VehicleProbe):
     def begin_streaming(self) -> Callable[[], None]:
         """Take off and follow a streamed setpoint here; return the end of the stream."""
         self.take_off()
-        stop = self.enter_offboard(LocalSetpoint(self.place()))
+        stop = self.enter_offboard(LocalSetpoint(self.position()))
         self.run(1.0)
         return stop
 
     def begin(self) -> Triple:
         """Take off and follow setpoints, which then end; return the vehicle position."""
         self.begin_streaming()()
-        return self.place()
+        return self.position()
 
     def fly(
         self, setpoint: Setpoint, duration_s: float, target: tuple[int, int] | None = None
@@ -397,7 +400,7 @@ class SetpointClient(VehicleProbe):
         stop()
         return speed
 
-    def require_place(self, wanted: Triple, what: str) -> None:
+    def require_position(self, wanted: Triple, what: str) -> None:
         """Require that the vehicle is at a position, to half a metre and the wind's effect."""
-        off_m = math.dist(self.place(), wanted)
+        off_m = math.dist(self.position(), wanted)
         require(off_m < 1.0, f"{what}: {off_m:.1f} m off")

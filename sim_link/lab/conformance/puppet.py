@@ -15,7 +15,7 @@ from sim_link.lab.conformance.rules import Flavour, Role, Violation, assume, req
 from sim_link.lab.conformance.station import MAVLINK_VERSION, ProbeLink, Station, brief, source_of
 
 VEHICLE = (1, 1)
-PLACE = (473_977_420, 85_455_940, 488_000)
+ORIGIN_E7_MM = (473_977_420, 85_455_940, 488_000)
 """Latitude and longitude, 1e-7 degrees, and altitude, mm: origin and home."""
 HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
@@ -31,7 +31,7 @@ SETPOINTS = (mav.LocalTarget, mav.GlobalTarget)
 CommandMessage = mav.CommandLong | mav.CommandInt
 
 
-def place_of(message: SetpointMessage) -> tuple[float, ...]:
+def position_of(message: SetpointMessage) -> tuple[float, ...]:
     """Return the position of a setpoint."""
     if isinstance(message, mav.LocalTarget):
         return (message.x, message.y, message.z)
@@ -91,8 +91,13 @@ class CompanionProbe(Station):
             (0.5, self._global_position),
             (0.5, self._landed_state),
             (1.0, lambda: status),
-            (1.0, lambda: mav.HomePosition(*PLACE, *ZERO, upright, *ZERO, 1_000 * self._boot_ms)),
-            (1.0, lambda: mav.Origin(*PLACE, 1_000 * self._boot_ms)),
+            (
+                1.0,
+                lambda: mav.HomePosition(
+                    *ORIGIN_E7_MM, *ZERO, upright, *ZERO, 1_000 * self._boot_ms
+                ),
+            ),
+            (1.0, lambda: mav.Origin(*ORIGIN_E7_MM, 1_000 * self._boot_ms)),
         )
         for period_s, build in stream:
             self._stops.append(self.repeat(build, period_s))
@@ -203,7 +208,7 @@ class CompanionProbe(Station):
         )
 
     def _global_position(self) -> Message:
-        latitude, longitude, altitude = PLACE
+        latitude, longitude, altitude = ORIGIN_E7_MM
         above = round(-1e3 * self.down_m)
         return mav.GlobalPosition(
             self._boot_ms, latitude + 898, longitude + 1_326, altitude + above, above, 0, 0, 0, 1719

@@ -75,14 +75,14 @@ class Caretaker(PlanClient):
         start_e7 = self.baseline.start_e7
         if start_e7 is None or mav.distance_m(self.where_e7(), start_e7) < NEAR_M:
             return
-        above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.place()[2])
+        above_home_m = max(FLIGHT_HEIGHT_M, self.home().z - self.position()[2])
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
         if self.reposition(frame, (*start_e7, above_home_m)) == mav.ACCEPTED:
             self.run_until(lambda: self._is_near(start_e7), GO_BACK_S)
 
-    def _is_near(self, place_e7: tuple[int, int]) -> bool:
+    def _is_near(self, position_e7: tuple[int, int]) -> bool:
         self.run(1.0)
-        return mav.distance_m(self.where_e7(), place_e7) < NEAR_M / 2.0
+        return mav.distance_m(self.where_e7(), position_e7) < NEAR_M / 2.0
 
     def leave(self) -> None:
         """Restore the plans and the mode after all rules."""

@@ -141,10 +141,10 @@ class VehicleProbe(Station):
         number: int,
         frame: int,
         params: tuple[float, float, float, float] = (mav.NAN, mav.NAN, mav.NAN, mav.NAN),
-        place: tuple[int, int, float] = (0, 0, mav.NAN),
+        position: tuple[int, int, float] = (0, 0, mav.NAN),
     ) -> int:
         """Send COMMAND_INT; return the final MAV_RESULT. A global position is in 1e-7 degrees."""
-        x, y, z = place
+        x, y, z = position
         message = mav.CommandInt(*self.target, frame, number, 0, 0, *params, x, y, z)
         return self.result_of(message, number)
 
@@ -289,7 +289,7 @@ class VehicleProbe(Station):
         """Require a disarmed vehicle for a rule on the ground; raise `NotApplicable` if armed."""
         assume(not self.is_armed(), "the vehicle is armed")
 
-    def place(self) -> Triple:
+    def position(self) -> Triple:
         """Return north, east and down of the newest LOCAL_POSITION_NED, after a step of time."""
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.x, report.y, report.z)
@@ -299,12 +299,14 @@ class VehicleProbe(Station):
         report = self.expect(mav.LocalPosition, within_s=3.0)
         return (report.vx, report.vy, report.vz)
 
-    def set_home(self, place: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL) -> int:
+    def set_home(
+        self, position: tuple[int, int, float], frame: int = mavlink.MAV_FRAME_GLOBAL
+    ) -> int:
         """Send DO_SET_HOME as COMMAND_INT; return its MAV_RESULT."""
         if self.baseline.home is None:
             home = self.home()
             self.baseline.home = (home.latitude, home.longitude, home.altitude / 1e3)
-        return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, (0.0,) * 4, place)
+        return self.command_int(mavlink.MAV_CMD_DO_SET_HOME, frame, (0.0,) * 4, position)
 
     def home(self) -> mav.HomePosition:
         """Request and return HOME_POSITION."""
@@ -406,9 +408,11 @@ class VehicleProbe(Station):
         """Arm, climb above home and hover there."""
         self.arm()
         params = self.takeoff_params(height_m)
-        start_down_m = self.place()[2]
+        start_down_m = self.position()[2]
         self.require_result(mav.ACCEPTED, mav.TAKE_OFF, *params)
-        climbed = self.run_until(lambda: start_down_m - self.place()[2] > height_m - 0.5, CLIMB_S)
+        climbed = self.run_until(
+            lambda: start_down_m - self.position()[2] > height_m - 0.5, CLIMB_S
+        )
         require(climbed, f"did not climb {height_m:g} m within {CLIMB_S:g} s")
         if self.is_px4:
             self.await_mode("hold", CLIMB_S)
@@ -420,10 +424,10 @@ class VehicleProbe(Station):
             return [*[mav.NAN] * 6, self.home().altitude / 1e3 + height_m]
         return [*[0.0] * 6, height_m]
 
-    def reposition(self, frame: int, place: tuple[int, int, float], flags: float = 1.0) -> int:
+    def reposition(self, frame: int, position: tuple[int, int, float], flags: float = 1.0) -> int:
         """Send DO_REPOSITION as COMMAND_INT; return its MAV_RESULT."""
         return self.command_int(
-            mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, mav.NAN), place
+            mavlink.MAV_CMD_DO_REPOSITION, frame, (-1.0, flags, 0.0, mav.NAN), position
         )
 
     def where_e7(self) -> tuple[int, int]:

@@ -97,8 +97,8 @@ class LinkEffect(FaultEffect[faults.LinkFault]):
         match fault:
             case faults.LinkBitFlips(bits=bits):
                 flipped = bytearray(data)
-                for place in self._rng.integers(0, 8 * len(data), bits).tolist():
-                    flipped[place // 8] ^= 1 << place % 8
+                for bit in self._rng.integers(0, 8 * len(data), bits).tolist():
+                    flipped[bit // 8] ^= 1 << bit % 8
                 return bytes(flipped)
             case faults.LinkTruncation():
                 return data[: int(self._rng.integers(1, max(2, len(data))))]
@@ -302,14 +302,14 @@ class _SecondEmitter(ContentEffect[faults.RangingSecondEmitter]):
     def watch(self, data: bytes) -> None:
         """Track the vehicle's position from its own reports."""
         if _number_of(data) == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
-            rewrite_frame(data, self._note_place, self._key)
+            rewrite_frame(data, self._note_position, self._key)
 
-    def _note_place(self, message: Any) -> None:
+    def _note_position(self, message: Any) -> None:
         self._vehicle_ned_m = (message.x, message.y, message.z)
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        is_placed = self._vehicle_ned_m is not None
-        return [(due_s, data), *(super()._alter(data, due_s) if is_placed else ())]
+        is_located = self._vehicle_ned_m is not None
+        return [(due_s, data), *(super()._alter(data, due_s) if is_located else ())]
 
     def _change(self, message: Any) -> None:
         assert self._vehicle_ned_m is not None

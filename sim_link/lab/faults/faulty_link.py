@@ -246,8 +246,8 @@ class Injector(Observer):
 
     def _send_other(self, fault: faults.SecondSender, end_s: float) -> None:
         flight = self._flight
-        place = (fault.east_m, fault.north_m, fault.up_m)
-        message = setpoint_at(place, flight.scenario.system_id, flight.now_s)
+        position = (fault.east_m, fault.north_m, fault.up_m)
+        message = setpoint_at(position, flight.scenario.system_id, flight.now_s)
         flight.sim.receive(Chunk(0, self._other.encode(message), SENDER_PEER), flight.now_s)
         next_s = flight.now_s + 1.0 / fault.rate_hz
         if next_s < end_s:

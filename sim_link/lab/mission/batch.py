@@ -39,7 +39,7 @@ from sim_link.lab.mission.results import (
     MissionResult,
     flight_name,
     how_flown,
-    true_places,
+    true_positions,
 )
 from sim_link.lab.mission.script import Mission
 from sim_link.lab.mission.script_file import flown_config, load_mission
@@ -136,15 +136,15 @@ def _map_layers(result: MissionResult) -> MapLayers:
     record, mission = result.record, result.mission
     limits = mission.config.limits
     east_m, north_m = mission.area_m
-    truth = true_places(mission)
+    truth = true_positions(mission)
     return MapLayers(
-        track_enu_m=[place[:2] for _, place in record.track],
+        track_enu_m=[position[:2] for _, position in record.track],
         estimates=record.estimates,
-        waypoints_enu_m=[place for _, place, _ in record.waypoints],
+        waypoints_enu_m=[position for _, position, _ in record.waypoints],
         fence_enu_m=limits.fence_enu_m,
         keep_outs_enu_m=[*(o.corners_enu_m for o in mission.obstacles), *limits.keep_out_enu_m],
         area_enu_m=[(0.0, 0.0), (east_m, 0.0), (east_m, north_m), (0.0, north_m)],
-        truth_enu_m={f"emitter {emitter}": place for emitter, place in truth.items()},
+        truth_enu_m={f"emitter {emitter}": position for emitter, position in truth.items()},
     )
 
 
@@ -157,7 +157,7 @@ def _charts(result: MissionResult) -> list[Chart | None]:
     residuals: list[Point] = [
         (p.time_s, p.range_innovation_m) for p in points if p.range_innovation_m is not None
     ]
-    heights = [(time_s, place[2]) for time_s, place in record.track]
+    heights = [(time_s, position[2]) for time_s, position in record.track]
     return [
         over_time.draw(
             "Error and R95",

@@ -132,29 +132,29 @@ class TelemetryReader:
 
     def _move(self, event: events.VehicleMoved, now_s: float) -> None:
         state, seen = event.state, self._situation.vehicle
-        place, velocity = state.position_enu_m, state.velocity_enu_mps
-        if not all(math.isfinite(value) for value in (*place, *velocity)):
+        position, velocity = state.position_enu_m, state.velocity_enu_mps
+        if not all(math.isfinite(value) for value in (*position, *velocity)):
             return
-        seen.east_m, seen.north_m = place[:2]
+        seen.east_m, seen.north_m = position[:2]
         seen.speed_mps, seen.climb_mps = math.hypot(*velocity[:2]), velocity[2]
         home = self._home_enu_m
         if home is not None:
-            seen.height_m = place[2] - home[2]
-            seen.home_distance_m = math.dist(place[:2], home[:2])
-        self._count(place)
+            seen.height_m = position[2] - home[2]
+            seen.home_distance_m = math.dist(position[:2], home[:2])
+        self._count(position)
         seen.distance_m = self._record.distance_m
         if now_s >= self._track_due_s:
             self._track_due_s = now_s + TRACK_PERIOD_S
-            self._record.track.append((now_s, place))
+            self._record.track.append((now_s, position))
 
-    def _count(self, place: PositionEnu) -> None:
+    def _count(self, position: PositionEnu) -> None:
         if self._counted_at is None or not self._situation.vehicle.is_armed:
-            self._counted_at = place
+            self._counted_at = position
             return
-        step_m = math.dist(place, self._counted_at)
+        step_m = math.dist(position, self._counted_at)
         if step_m >= COUNTED_STEP_M:
             self._record.distance_m += step_m
-            self._counted_at = place
+            self._counted_at = position
 
 
 CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)
@@ -212,14 +212,14 @@ class EventReader:
                 self._situation.companion_texts.append(fields["text"])
             case "waypoint":
                 self._situation.companion.waypoint = fields["reason"]
-                place = _point(fields["position_enu_m"])
-                self._record.waypoints.append((now_s, place, fields["reason"]))
+                position = _point(fields["position_enu_m"])
+                self._record.waypoints.append((now_s, position, fields["reason"]))
             case "result":
                 emitter = fields.get("emitter_id")
                 if emitter is None:
                     emitter = self._situation.estimate.emitter
-                place = (float(fields["east_m"]), float(fields["north_m"]))
-                self._record.reports.append(Report(now_s, emitter, place, fields["r95_m"]))
+                position = (float(fields["east_m"]), float(fields["north_m"]))
+                self._record.reports.append(Report(now_s, emitter, position, fields["r95_m"]))
                 self._situation.companion.reported += 1
 
     def age(self, now_s: float) -> None:
@@ -243,10 +243,10 @@ class EventReader:
         self._ranging_heard_s = time_s
         self._situation.companion.measurements += 1
         emitter = fields.get("emitter_id", self._first_emitter)
-        place = _point(fields["position_enu_m"])
+        position = _point(fields["position_enu_m"])
         point = EstimatePoint(
             time_s=time_s,
-            place_enu_m=place,
+            place_enu_m=position,
             r95_m=fields["r95_m"],
             state=fields["state"],
             range_innovation_m=fields.get("range_innovation"),
@@ -257,8 +257,8 @@ class EventReader:
         self._record.estimates.append(point)
         seen, truth = self._situation.estimate, self._emitters.get(emitter)
         seen.emitter, seen.state, seen.r95_m = emitter, point.state, point.r95_m
-        seen.east_m, seen.north_m = place
-        seen.error_m = None if truth is None else math.dist(place, truth)
+        seen.east_m, seen.north_m = position
+        seen.error_m = None if truth is None else math.dist(position, truth)
         seen.range_offset_m = fields["range_offset_m"]
         seen.bearing_offset_deg = math.degrees(fields["bearing_offset_rad"])
 

@@ -56,7 +56,7 @@ def fly_in_memory(
 class _MissionFlight:
     def __init__(self, mission: Mission, seed: int, make_companion: MakeCompanion) -> None:
         self.record = results.FlightRecord(autopilot=mission.autopilot.flavour, scope=LOCKSTEP)
-        emitters = results.true_places(mission)
+        emitters = results.true_positions(mission)
         self._reader = EventReader(self.record, emitters, mission.emitter.emitter_id)
         wire = FaultyLink(Schedule(), seed)
         flight = Flight(
@@ -111,12 +111,12 @@ class _MissionFlight:
             flavour.has_home(vehicle.time_s) and flavour.arming_refusal(vehicle.time_s) is None
         )
         # by the autopilot's estimate, as telemetry has it and as its home is kept
-        east_m, north_m, up_m = place = vehicle.aircraft.motion.position_enu_m
+        east_m, north_m, up_m = position = vehicle.aircraft.motion.position_enu_m
         velocity = vehicle.body.velocity_enu_mps
         home = vehicle.home_enu_m
         seen.east_m, seen.north_m, seen.height_m = east_m, north_m, up_m - home[2]
         seen.speed_mps, seen.climb_mps = math.hypot(*velocity[:2]), velocity[2]
-        seen.home_distance_m = math.dist(place[:2], home[:2])
+        seen.home_distance_m = math.dist(position[:2], home[:2])
         seen.distance_m, seen.battery = vehicle.aircraft.distance_m, vehicle.battery.share
         seen.has_fix = vehicle.estimator.has_fix
         self.record.violations += self._monitor.violations[len(self.record.violations) :]

@@ -43,7 +43,7 @@ from sim_link.lab.mission.results import (
     FlightRecord,
     MissionResult,
     how_flown,
-    true_places,
+    true_positions,
     verdicts_of,
 )
 from sim_link.lab.mission.script import Mission, PilotOverrideStep
@@ -113,7 +113,7 @@ class _UdpFlight:
         self._tail = EventTail(self._flights)
         self._offset_s: float | None = None
         """The mission's time minus the companion's."""
-        self._reader = EventReader(self.record, true_places(mission), mission.emitter.emitter_id)
+        self._reader = EventReader(self.record, true_positions(mission), mission.emitter.emitter_id)
         self._telemetry = TelemetryReader(self.record)
         self._wire = FaultyLink(Schedule(), seed)
         self._companion = self._companion_child()

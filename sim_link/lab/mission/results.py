@@ -176,7 +176,7 @@ def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerd
     return (_judge_steps(record), *judged)
 
 
-def true_places(mission: Mission) -> dict[int, Point]:
+def true_positions(mission: Mission) -> dict[int, Point]:
     """Return emitter positions by id, local ENU in m; the script's `emitter` first."""
     return {each.emitter_id: each.position_enu_m for each in (mission.emitter, *mission.emitters)}
 
@@ -210,7 +210,7 @@ def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of
     point = record.last_estimate(emitter)
     if point is None:
         return False, "there is no estimate"
-    error_m = math.dist(point.place_enu_m, true_places(mission)[emitter])
+    error_m = math.dist(point.place_enu_m, true_positions(mission)[emitter])
     if not of:
         return _judge_bound(error_m, bound, "m")
     radius_m = getattr(point, of)
@@ -387,11 +387,11 @@ class MissionResult:
 
     def error_m(self, point: EstimatePoint) -> float:
         """Return an estimate's horizontal error, m; by default of the first emitter."""
-        truth = true_places(self.mission)
+        truth = true_positions(self.mission)
         first = truth[self.mission.emitter.emitter_id]
         emitter = point.emitter_id
-        place = first if emitter is None else truth.get(emitter, first)
-        return math.dist(point.place_enu_m, place)
+        position = first if emitter is None else truth.get(emitter, first)
+        return math.dist(point.place_enu_m, position)
 
     @property
     def is_inside_r95(self) -> bool | None:

@@ -1,6 +1,6 @@
 """Mission script: scenario, steps and expected results of one flight.
 
-A script is a scenario (place, vehicle, emitters, channel, obstacles, weather; all its keys are the
+A script is a scenario (origin, vehicle, emitters, channel, obstacles, weather; all its keys are the
 script's own) with the companion's configuration, steps and expectations, each of which has a name
 and gets a verdict at the end. `script_file` reads it from YAML and checks what no single record
 can see.

@@ -161,12 +161,12 @@ class OnlyWithAuthority(Invariant):
             return
         if self._was_ours or self.scene.is_lied_to:
             return
-        place = setpoint.place_enu_m[:2]
+        position = setpoint.position_enu_m[:2]
         seen = [seen_enu_m[:2] for seen_enu_m, _ in self.scene.seen_at]
-        away = min((math.dist(place, there) for there in seen), default=math.inf)
+        away = min((math.dist(position, there) for there in seen), default=math.inf)
         if away <= HERE_M + self.scene.rules.clearance_m:
             return
-        if not self.scene.is_moved_inwards(place):
+        if not self.scene.is_moved_inwards(position):
             self.report("a setpoint that moves before control was given", away_m=away)
 
     def sent(self, frame: Frame) -> None:

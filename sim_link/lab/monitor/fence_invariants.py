@@ -55,7 +55,7 @@ class OwnJumps:
         if self._seemed is None or observed is None or self._scene.is_lied_to:
             return None
         self._is_reported |= math.dist(observed, self._seemed) < 0.5 * self._jumped_m
-        away_m = math.dist(setpoint.place_enu_m, self._seemed)
+        away_m = math.dist(setpoint.position_enu_m, self._seemed)
         return away_m if self._is_reported and away_m > self._scene.rules.step_m else None
 
     def _is_over(self) -> bool:
@@ -106,20 +106,20 @@ class SetpointsInside(Invariant):
 
         Without control it repeats the vehicle position; for an unknown peer's the peer answers.
         """
-        self._judge_height(setpoint.place_enu_m[2])
+        self._judge_height(setpoint.position_enu_m[2])
         if not self.scene.is_lied_to or self.scene.observed.is_ours:
             self._judge_borders(setpoint)
 
     def _judge_borders(self, setpoint: SentSetpoint) -> None:
         rules, observed = self.scene.rules, self.scene.observed
-        place = setpoint.place_enu_m[:2]
-        depth = self.scene.depth_m(place)
+        position = setpoint.position_enu_m[:2]
+        depth = self.scene.depth_m(position)
         least = rules.clearance_m - setpoint.rounding_m
         vehicle = None if self.scene.is_lied_to else observed.position_enu_m
         own_depth = math.inf if vehicle is None else self.scene.depth_m(vehicle[:2])
         anchor = self._anchor
-        is_still = anchor is not None and math.dist(place, anchor) <= setpoint.rounding_m
-        self._anchor = anchor if is_still else place
+        is_still = anchor is not None and math.dist(position, anchor) <= setpoint.rounding_m
+        self._anchor = anchor if is_still else position
         is_no_farther = depth >= min(own_depth, rules.clearance_m) - setpoint.rounding_m
         if own_depth < rules.clearance_m:
             self._near_s = setpoint.time_s
@@ -127,7 +127,7 @@ class SetpointsInside(Invariant):
         if depth < least and not is_no_farther and not is_kept:
             self.report("setpoint too near to a border or beyond it", depth_m=depth)
         is_inside = vehicle is not None and own_depth > 0.0 and depth > 0.0
-        if vehicle is not None and is_inside and not self.scene.is_way_clear(vehicle[:2], place):
+        if vehicle is not None and is_inside and not self.scene.is_way_clear(vehicle[:2], position):
             self.report("the way to a setpoint leaves the fence", depth_m=depth)
 
     def _judge_height(self, up_m: float) -> None:
@@ -274,16 +274,16 @@ class InsideFence(SetpointsInside):
         is_flown_by_others = self._mode not in OUR_MOTION or self._is_taken_on
         is_flown_by_others |= self.is_excused
         has_faded = scene.now_s - self._in_control_s > CONTROL_FADES_S
-        place = body.position_enu_m[:2]
+        position = body.position_enu_m[:2]
         if body.is_on_ground or is_flown_by_others or has_faded:
             # another source may have taken it out
-            self._is_out = not body.is_on_ground and scene.depth_m(place) + scene.bias_m < 0.0
+            self._is_out = not body.is_on_ground and scene.depth_m(position) + scene.bias_m < 0.0
             return
         at, known = self._known
-        if known - math.dist(place, at) > max(0.0, self.closest_m):
+        if known - math.dist(position, at) > max(0.0, self.closest_m):
             return  # it cannot have come nearer than it was
-        depth = self.scene.depth_m(place) + scene.bias_m
-        self._known = (place, depth)
+        depth = self.scene.depth_m(position) + scene.bias_m
+        self._known = (position, depth)
         if self._is_out and depth < 0.0:
             return
         self.closest_m = min(self.closest_m, depth)
@@ -293,7 +293,7 @@ class InsideFence(SetpointsInside):
             self.report("the vehicle left the fence", depth_m=depth)
 
 
-class PlacesOnly(Invariant):
+class PositionsOnly(Invariant):
     """No setpoint moves by itself."""
 
     name = "I4"
@@ -303,10 +303,10 @@ class PlacesOnly(Invariant):
         """Check the requested setpoint."""
         mask = getattr(setpoint.message, "type_mask", None)
         if mask not in (POSITION_ONLY, POSITION_AND_YAW):
-            self.report("a setpoint that is no place", mask=float(mask or 0))
+            self.report("a setpoint that is not a position", mask=float(mask or 0))
 
 
-class SafeToFreeze(PlacesOnly):
+class SafeToFreeze(PositionsOnly):
     """Freezing any setpoint for 60 s is safe, or stopping where another source moved it."""
 
     def __init__(self, scene: TrueScene, is_dragged: Callable[[], bool] = lambda: False) -> None:
@@ -326,7 +326,7 @@ class SafeToFreeze(PlacesOnly):
             return
         self._frozen_s = scene.now_s
         bias = scene.vehicle.estimator.bias_enu_m
-        east, north, up = setpoint.place_enu_m
+        east, north, up = setpoint.position_enu_m
         goal = (east - bias[0], north - bias[1], up - bias[2])
         body, rules = scene.vehicle.body, scene.rules
         own = self.scene.depth_m(body.position_enu_m[:2]) + scene.bias_m
@@ -334,7 +334,7 @@ class SafeToFreeze(PlacesOnly):
             if self.scene.depth_m(goal[:2]) + scene.bias_m < -setpoint.rounding_m:
                 self.report("a setpoint that freezes leads out of the fence", depth_m=own)
             return
-        if own < 0.0:  # on its way back: the place itself must not lie farther out
+        if own < 0.0:  # on its way back: the position itself must not lie farther out
             depth, moved_m = scene.depth_m(goal[:2]), math.hypot(*body.velocity_enu_mps[:2])
             least_m = own - rules.clearance_m - moved_m * rules.latency_s
             if depth + scene.bias_m < least_m:
@@ -356,14 +356,14 @@ class SafeToFreeze(PlacesOnly):
         body.velocity_enu_mps = truth.velocity_enu_mps
         least, known, at = math.inf, -math.inf, (0.0, 0.0)
         for _ in range(round(FREEZE_FOR_S / FREEZE_STEP_S)):
-            place = body.position_enu_m
-            if known - math.dist(at, place[:2]) < max(0.0, min(least, SAFE_M)):
-                known, at = self.scene.depth_m(place[:2]), place[:2]
+            position = body.position_enu_m
+            if known - math.dist(at, position[:2]) < max(0.0, min(least, SAFE_M)):
+                known, at = self.scene.depth_m(position[:2]), position[:2]
                 least = min(least, known)
-            is_there = math.dist(place, goal) < ARRIVED_M
+            is_there = math.dist(position, goal) < ARRIVED_M
             if is_there and math.hypot(*body.velocity_enu_mps) < AT_REST_MPS:
                 break
-            body.step(approach_velocity(place, goal, params), None, FREEZE_STEP_S)
+            body.step(approach_velocity(position, goal, params), None, FREEZE_STEP_S)
         return least
 
 

@@ -71,9 +71,9 @@ def _inside_m(corners: Corners, point: Point) -> float:
     return away_m if _is_wound_around(corners, point) else -away_m
 
 
-def is_moved_inwards(depth_m: float, vehicle: Point, place: Point) -> bool:
-    """Return True if a vehicle so deep inside, at a border or beyond it, may stay at `place`."""
-    return depth_m < BORDER_M and math.dist(vehicle, place) <= INWARDS_M
+def is_moved_inwards(depth_m: float, vehicle: Point, position: Point) -> bool:
+    """Return True if a vehicle so deep inside, at a border or beyond it, may stay at `position`."""
+    return depth_m < BORDER_M and math.dist(vehicle, position) <= INWARDS_M
 
 
 def is_way_clear(fence: Corners, keep_outs: Sequence[Corners], start: Point, end: Point) -> bool:
@@ -184,22 +184,22 @@ class Followed:
     clock_s: float | None = None
     """Our time minus its stamps, by the promptest frame; None: none had a stamp yet."""
     stamped_s: float = 0.0
-    place_ned_m: tuple[float, float, float] | None = None
-    place_s: float = 0.0
+    position_ned_m: tuple[float, float, float] | None = None
+    position_s: float = 0.0
 
     def goes_on(self, frame: Frame) -> bool:
         """Return True if the followed vehicle may have a frame's stamp and position by now."""
         if self.clock_s is None:
             return True
-        stamp_s, place = _sign_of(frame)
+        stamp_s, position = _sign_of(frame)
         if stamp_s is None:
             return False
         is_of_clock = -EARLY_S <= frame.time_s - stamp_s - self.clock_s <= LATE_S
         return is_of_clock and (
-            place is None
-            or self.place_ned_m is None
-            or math.dist(place, self.place_ned_m)
-            <= REACH_M + REACH_MPS * (frame.time_s - self.place_s)
+            position is None
+            or self.position_ned_m is None
+            or math.dist(position, self.position_ned_m)
+            <= REACH_M + REACH_MPS * (frame.time_s - self.position_s)
         )
 
     def has_clock_of(self, frame: Frame) -> bool:
@@ -217,7 +217,7 @@ class Followed:
     def with_frame(self, frame: Frame) -> Followed:
         """Process an accepted frame; a stranger's that contradicts the course is left out."""
         now_s = frame.time_s
-        stamp_s, place = _sign_of(frame)
+        stamp_s, position = _sign_of(frame)
         heard = replace(self, is_genuine=frame.is_genuine, heard_s=now_s)
         if stamp_s is None:
             return heard
@@ -225,23 +225,25 @@ class Followed:
         if not self.goes_on(frame):
             if not frame.is_genuine:
                 return heard
-            return Followed(True, now_s, clock_s, now_s, place, now_s)
+            return Followed(True, now_s, clock_s, now_s, position, now_s)
         if self.clock_s is not None:
             drift_s = 0.1 * (now_s - self.stamped_s)
             clock_s = min(clock_s, self.clock_s + drift_s)
         heard = replace(heard, clock_s=clock_s, stamped_s=now_s)
-        return heard if place is None else replace(heard, place_ned_m=place, place_s=now_s)
+        return (
+            heard if position is None else replace(heard, position_ned_m=position, position_s=now_s)
+        )
 
 
 def _sign_of(frame: Frame) -> tuple[float | None, tuple[float, float, float] | None]:
     """Return the stamp and position in a frame, as far as it has them."""
-    message, place = frame.message, None
+    message, position = frame.message, None
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None, None
     if isinstance(message, mavlink.MAVLink_local_position_ned_message):
-        place = (message.x, message.y, message.z)
-        place = place if all(map(math.isfinite, place)) else None
-    return message.time_boot_ms / 1e3, place
+        position = (message.x, message.y, message.z)
+        position = position if all(map(math.isfinite, position)) else None
+    return message.time_boot_ms / 1e3, position
 
 
 class SenderTrust:
@@ -358,12 +360,12 @@ class FlownFence:
     circles_in: tuple[tuple[Point, float], ...] = ()
     circles_out: tuple[tuple[Point, float], ...] = ()
 
-    def depth_m(self, place: Point) -> float:
+    def depth_m(self, position: Point) -> float:
         """Return the depth of a position inside the allowed area, m; negative: violated."""
-        inside = [depth_m(each, (), place) for each in self.inclusions]
-        inside += [radius_m - math.dist(at, place) for at, radius_m in self.circles_in]
-        outside = [-depth_m(each, (), place) for each in self.exclusions]
-        outside += [math.dist(at, place) - radius_m for at, radius_m in self.circles_out]
+        inside = [depth_m(each, (), position) for each in self.inclusions]
+        inside += [radius_m - math.dist(at, position) for at, radius_m in self.circles_in]
+        outside = [-depth_m(each, (), position) for each in self.exclusions]
+        outside += [math.dist(at, position) - radius_m for at, radius_m in self.circles_out]
         return min([max(inside, default=math.inf), *outside])
 
     def is_way_clear(self, start: Point, end: Point) -> bool:

@@ -65,19 +65,19 @@ class WithinEnvelope(Invariant):
                 away = (
                     math.inf
                     if observed is None
-                    else math.dist(setpoint.place_enu_m[:2], observed[:2])
+                    else math.dist(setpoint.position_enu_m[:2], observed[:2])
                 )
                 self.report("the first setpoint is not where the vehicle is", away_m=away)
             return
         dt_s = setpoint.time_s - last.time_s
-        moved = math.dist(setpoint.place_enu_m[:2], last.place_enu_m[:2])
+        moved = math.dist(setpoint.position_enu_m[:2], last.position_enu_m[:2])
         rules = self.scene.rules
         if moved > SHARE * rules.speed_mps * dt_s + TOLERANCE_M + crept_m:
             self._velocity = None
             if not self._is_here(setpoint):
                 self.report("setpoint too fast", step_m=moved, dt_s=dt_s)
             return
-        climbed = abs(setpoint.place_enu_m[2] - last.place_enu_m[2])
+        climbed = abs(setpoint.position_enu_m[2] - last.position_enu_m[2])
         most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M + crept_m
         if climbed > most_m and not self._is_here(setpoint):
             self.report("setpoint climbs or sinks too fast", step_m=climbed, dt_s=dt_s)
@@ -94,10 +94,12 @@ class WithinEnvelope(Invariant):
     def _goes_on(self, setpoint: SentSetpoint, last: SentSetpoint) -> bool:
         """Return True if a setpoint is as near to the one before as speed and climb allow."""
         rules, dt_s = self.scene.rules, setpoint.time_s - last.time_s
-        place, before = setpoint.place_enu_m, last.place_enu_m
-        is_near = math.dist(place[:2], before[:2]) <= SHARE * rules.speed_mps * dt_s + TOLERANCE_M
+        position, before = setpoint.position_enu_m, last.position_enu_m
+        is_near = (
+            math.dist(position[:2], before[:2]) <= SHARE * rules.speed_mps * dt_s + TOLERANCE_M
+        )
         most_m = SHARE * rules.climb_mps * dt_s + TOLERANCE_M
-        return is_near and abs(place[2] - before[2]) <= most_m
+        return is_near and abs(position[2] - before[2]) <= most_m
 
     def _judge_change(
         self,
@@ -110,14 +112,14 @@ class WithinEnvelope(Invariant):
     ) -> None:
         """Judge the change of speed against the acceleration; stopping at once is allowed.
 
-        So is a new beginning at the very place of the vehicle, and moving along with one at a
-        border, no farther than that did: the place nearest to it that is allowed.
+        So is a new beginning at the very position of the vehicle, and moving along with one at a
+        border, no farther than that did: the position nearest to it that is allowed.
         """
         if dt_s <= 0.0:
             return
-        place, before = setpoint.place_enu_m, last.place_enu_m
+        position, before = setpoint.position_enu_m, last.position_enu_m
         moved_s = min(dt_s, LATE_TICK_S)
-        velocity = ((place[0] - before[0]) / moved_s, (place[1] - before[1]) / moved_s)
+        velocity = ((position[0] - before[0]) / moved_s, (position[1] - before[1]) / moved_s)
         last_velocity, self._velocity = self._velocity, velocity
         if last_velocity is None:
             return
@@ -127,7 +129,7 @@ class WithinEnvelope(Invariant):
         is_slower = math.hypot(*velocity) <= math.hypot(*last_velocity)
         if change <= most or is_slower:
             return
-        if may_be_moved_along and self.scene.is_moved_inwards(setpoint.place_enu_m[:2]):
+        if may_be_moved_along and self.scene.is_moved_inwards(setpoint.position_enu_m[:2]):
             return
         if is_start:  # at rest
             self._velocity = (0.0, 0.0)
@@ -141,17 +143,17 @@ class WithinEnvelope(Invariant):
         """Return True at the vehicle's position, or, at a border, where it may be moved to."""
         if self.scene.is_lied_to:
             return True
-        rules, place = self.scene.rules, setpoint.place_enu_m[:2]
+        rules, position = self.scene.rules, setpoint.position_enu_m[:2]
         speed_mps = math.hypot(*self.scene.observed.velocity_enu_mps[:2])
         for seen_enu_m, seen_s in self.scene.seen_at:
             age_s = self.scene.now_s - seen_s
             near_m = HERE_M + rules.clearance_m + speed_mps * (age_s + rules.latency_s)
-            if math.dist(place, seen_enu_m[:2]) <= near_m:
+            if math.dist(position, seen_enu_m[:2]) <= near_m:
                 return True
-        return self.scene.is_moved_inwards(setpoint.place_enu_m[:2])
+        return self.scene.is_moved_inwards(setpoint.position_enu_m[:2])
 
     def _is_at(self, vehicle: Point | None, setpoint: SentSetpoint) -> bool:
-        return vehicle is not None and math.dist(setpoint.place_enu_m[:2], vehicle) <= STILL_M
+        return vehicle is not None and math.dist(setpoint.position_enu_m[:2], vehicle) <= STILL_M
 
 
 class FreshState(Invariant):
@@ -172,7 +174,7 @@ class FreshState(Invariant):
         age_s = math.inf if observed.position_s is None else self.scene.now_s - observed.position_s
         if age_s <= self.scene.rules.state_age_s + TICK_S or last is None:
             return
-        moved = math.dist(setpoint.place_enu_m, last.place_enu_m)
+        moved = math.dist(setpoint.position_enu_m, last.position_enu_m)
         if moved > STILL_M:
             self.report("a setpoint moved on a stale position", age_s=age_s, moved_m=moved)
 

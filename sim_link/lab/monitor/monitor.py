@@ -77,7 +77,7 @@ WIRE = Scope(
         "I1": "setpoints and the ways to them, not the true vehicle",
         "I2": "",
         "I3": "the mode may come back from a person or from the autopilot itself",
-        "I4": "every setpoint is a place; where it leads is not flown on",
+        "I4": "every setpoint is a position; where it leads is not flown on",
         "I5": "",
         "I6": "",
         "I7": "at the receiver, with the companion's log",

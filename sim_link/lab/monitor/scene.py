@@ -138,7 +138,7 @@ class SentSetpoint:
     """A setpoint that the companion sent."""
 
     time_s: float
-    place_enu_m: PositionEnu
+    position_enu_m: PositionEnu
     message: Message
 
     @property
@@ -229,10 +229,10 @@ class ObservedScene:
             case mavlink.MAVLink_local_position_ned_message():
                 self._note_position(message, frame.time_s, self.sent_at(frame))
             case mavlink.MAVLink_gps_global_origin_message():
-                place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+                position = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
                 world = self.world_origin
-                if world is not None and abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0:
-                    self._note_origin(world.enu_from_geodetic(*place), self.sent_at(frame))
+                if world is not None and abs(position[0]) <= 90.0 and abs(position[1]) <= 180.0:
+                    self._note_origin(world.enu_from_geodetic(*position), self.sent_at(frame))
 
     def _note_origin(self, origin_enu_m: PositionEnu, sent_at: tuple[float, int]) -> None:
         observed = self.observed
@@ -240,10 +240,11 @@ class ObservedScene:
             return
         observed.origin_sent_at = sent_at
         if math.dist(origin_enu_m, observed.origin_enu_m) > FRAME_STEP_M:
-            place, before = observed.position_enu_m, observed.origin_enu_m
-            if place is not None and observed.position_s is not None:
+            position, before = observed.position_enu_m, observed.origin_enu_m
+            if position is not None and observed.position_s is not None:
                 moved = [
-                    at + new - old for at, new, old in zip(place, origin_enu_m, before, strict=True)
+                    at + new - old
+                    for at, new, old in zip(position, origin_enu_m, before, strict=True)
                 ]
                 observed.else_at = ((moved[0], moved[1], moved[2]), observed.position_s)
             observed.frame_sent_at = sent_at
@@ -279,10 +280,12 @@ class ObservedScene:
             return []
         return self.in_force.known(self.now_s - self.rules.answer_s - TICK_S)
 
-    def depth_m(self, place: Point) -> float:
+    def depth_m(self, position: Point) -> float:
         """Return the depth inside all fences and outside all keep-outs, m; negative: violated."""
-        depth = independent_checks.depth_m(self.rules.fence_enu_m, self.rules.keep_out_enu_m, place)
-        return min([depth, *(fence.depth_m(place) for fence in self.flown_fences)])
+        depth = independent_checks.depth_m(
+            self.rules.fence_enu_m, self.rules.keep_out_enu_m, position
+        )
+        return min([depth, *(fence.depth_m(position) for fence in self.flown_fences)])
 
     def is_way_clear(self, start: Point, end: Point) -> bool:
         """Return True if the straight line between two points inside crosses no border."""
@@ -302,7 +305,7 @@ class ObservedScene:
 
     @property
     def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
-        """Places where the companion may take the vehicle to be, each with when it arrived.
+        """Positions where the companion may take the vehicle to be, each with when it arrived.
 
         That is the newest; and, while it would not be stale, the last one before the stamps went
         back, because some such stamps are no proof yet that the vehicle restarted, or the newest in
@@ -310,16 +313,16 @@ class ObservedScene:
         """
         observed, oldest_s = self.observed, self.now_s - self.rules.state_age_s - TICK_S
         newest, other = (observed.position_enu_m, observed.position_s), observed.else_at
-        places = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
+        positions = [] if newest[0] is None or newest[1] is None else [(newest[0], newest[1])]
         if other is not None and other[1] >= oldest_s:
-            places.append(other)
-        return tuple(places)
+            positions.append(other)
+        return tuple(positions)
 
-    def is_moved_inwards(self, place: Point) -> bool:
-        """Return True if a vehicle at a border, or beyond it, may stay at `place`."""
+    def is_moved_inwards(self, position: Point) -> bool:
+        """Return True if a vehicle at a border, or beyond it, may stay at `position`."""
         observed = self.observed.position_enu_m
         return observed is not None and independent_checks.is_moved_inwards(
-            self.depth_m(observed[:2]), observed[:2], place
+            self.depth_m(observed[:2]), observed[:2], position
         )
 
     def world_from_local(self, enu_m: PositionEnu) -> PositionEnu:
@@ -332,17 +335,17 @@ class ObservedScene:
         message = frame.message
         match message:
             case mavlink.MAVLink_set_position_target_local_ned_message():
-                place = self.world_from_local((message.y, message.x, -message.z))
+                position = self.world_from_local((message.y, message.x, -message.z))
             case mavlink.MAVLink_set_position_target_global_int_message():
                 world = self.world_origin
                 if world is None:
                     return None
-                place = world.enu_from_geodetic(
+                position = world.enu_from_geodetic(
                     message.lat_int / 1e7, message.lon_int / 1e7, message.alt
                 )
             case _:
                 return None
-        return SentSetpoint(frame.time_s, place, message)
+        return SentSetpoint(frame.time_s, position, message)
 
 
 @dataclass(slots=True)

@@ -141,8 +141,8 @@ class HeardScene(ObservedScene):
                     self._home = message
             home, world = self._home, self.world_origin
             if home is not None and world is not None:
-                place = (home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3)
-                self.home_up_m = world.enu_from_geodetic(*place)[2]
+                position = (home.latitude / 1e7, home.longitude / 1e7, home.altitude / 1e3)
+                self.home_up_m = world.enu_from_geodetic(*position)[2]
         super(HeardScene, self).observe(frame)
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
@@ -170,7 +170,7 @@ class WireMonitor(FrameMonitor):
             fence_invariants.SetpointsInside(scene),
             message_invariants.WithinEnvelope(scene),
             authority_invariants.OnlyWithAuthority(scene),
-            fence_invariants.PlacesOnly(scene),
+            fence_invariants.PositionsOnly(scene),
             message_invariants.FreshState(scene),
             message_invariants.KnownFrames(scene),
             self._stream,

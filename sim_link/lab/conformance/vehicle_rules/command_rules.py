@@ -179,9 +179,9 @@ class CommandRules(VehicleProbe):
         """A position in a frame that a command does not accept is UNSUPPORTED_MAV_FRAME."""
         self.get_ready()
         home = self.home()
-        place = (home.latitude + 900, home.longitude, home.altitude / 1e3)
+        position = (home.latitude + 900, home.longitude, home.altitude / 1e3)
         for frame in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_NED, 20):
-            result = self.set_home(place, frame)
+            result = self.set_home(position, frame)
             require(result == mav.UNSUPPORTED_FRAME, f"frame {frame}: result {result}")
         require(self.home().latitude == home.latitude, "home moved")
 

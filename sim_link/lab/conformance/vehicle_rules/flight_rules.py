@@ -25,7 +25,7 @@ SERVICE = "MAVLink guide, Command Protocol"
 STRICT = "(stricter than the real one, which accepts it)"
 LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {mav.OBSERVED_ARDUPILOT}"
 REBOOTING = "MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN"
-NO_PLACE = (1_000_000_000, 85_000_000, 500.0)
+OFF_EARTH = (1_000_000_000, 85_000_000, 500.0)
 """Position at a latitude of 100 degrees."""
 
 
@@ -43,7 +43,7 @@ class FlightRules(VehicleProbe):
         """NAV_TAKEOFF climbs to the altitude it names and stays there."""
         self.take_off(12.0)
         self.run(3.0)
-        height_m = -self.place()[2] + self.home().z
+        height_m = -self.position()[2] + self.home().z
         require(abs(height_m - 12.0) < 1.0, f"{height_m:.1f} m above home")
 
     @book.rule(f"{mav.OBSERVED_ARDUPILOT} {STRICT}", flavours=ARDUPILOT, harms=True)
@@ -67,11 +67,11 @@ class FlightRules(VehicleProbe):
     def takeoff_in_the_air_is_answered(self) -> None:
         """NAV_TAKEOFF in the air is ACCEPTED and does not bring the vehicle down."""
         self.take_off()
-        down_m = self.place()[2]
+        down_m = self.position()[2]
         wanted = ACCEPTED if self.is_px4 else mav.FAILED
         self.require_result(wanted, TAKE_OFF, *self.takeoff_params(10.0))
         self.run(3.0)
-        require(abs(self.place()[2] - down_m) < 1.5, "it left its height")
+        require(abs(self.position()[2] - down_m) < 1.5, "it left its height")
 
     @book.rule(f"{SERVICE} (never guess another frame)")
     def takeoff_in_a_foreign_frame_is_refused(self) -> None:
@@ -102,7 +102,7 @@ class FlightRules(VehicleProbe):
         self.require_result(ACCEPTED, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         self.await_mode("return")
         self.await_disarmed(120.0)
-        distance_m = math.dist(self.place()[:2], (home.x, home.y))
+        distance_m = math.dist(self.position()[:2], (home.x, home.y))
         require(distance_m < 2.0, f"{distance_m:.1f} m from home")
 
     @book.rule("MAVLink common, MAV_CMD_DO_REPOSITION; MAVSDK action.goto_location")
@@ -129,19 +129,19 @@ class FlightRules(VehicleProbe):
     def senseless_reposition_is_refused(self) -> None:
         """DO_REPOSITION to a bad latitude or in a local frame is refused, and nothing moves."""
         self.take_off()
-        before = self.place()
+        before = self.position()
         cases = {
-            "a latitude of 100 degrees": (mavlink.MAV_FRAME_GLOBAL, NO_PLACE),
+            "a latitude of 100 degrees": (mavlink.MAV_FRAME_GLOBAL, OFF_EARTH),
             "local frame": (mavlink.MAV_FRAME_LOCAL_NED, (10, 10, -10.0)),
             "frame 20": (mavlink.MAV_FRAME_LOCAL_FRD, (10, 10, -10.0)),
         }
         if not self.is_px4:  # PX4 flies to 0/0 as to anywhere
             cases["latitude and longitude 0"] = (mavlink.MAV_FRAME_GLOBAL, (0, 0, 500.0))
-        for name, (frame, place) in cases.items():
-            result = self.reposition(frame, place)
+        for name, (frame, position) in cases.items():
+            result = self.reposition(frame, position)
             require(result in REFUSALS, f"{name}: result {result}")
         self.run(3.0)
-        require(math.dist(before, self.place()) < 1.5, "it moved")
+        require(math.dist(before, self.position()) < 1.5, "it moved")
 
     @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
     def reposition_outside_guided_needs_its_flag(self) -> None:
@@ -149,8 +149,8 @@ class FlightRules(VehicleProbe):
         self.take_off()
         here = self.request(mav.GlobalPosition)
         self.set_mode("loiter")
-        place = (here.lat, here.lon, here.alt / 1e3)
-        result = self.reposition(mavlink.MAV_FRAME_GLOBAL, place, flags=0.0)
+        position = (here.lat, here.lon, here.alt / 1e3)
+        result = self.reposition(mavlink.MAV_FRAME_GLOBAL, position, flags=0.0)
         require(result == mav.DENIED, f"result {result}")
 
     @book.rule(LOCATION, flavours=ARDUPILOT, effect=ASKS)
@@ -284,7 +284,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
     def _lose_stream(self) -> LocalSetpoint:
         """Fly in OFFBOARD and end the stream; return its setpoint."""
         stop = self.begin_streaming()
-        setpoint = LocalSetpoint(self.place())
+        setpoint = LocalSetpoint(self.position())
         stop()
         return setpoint
 
@@ -294,7 +294,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         self.take_off()
         result = self.set_mode("offboard")
         require(result == mav.TEMPORARILY_REJECTED, f"without a stream: result {result}")
-        self.enter_offboard(LocalSetpoint(self.place()))()
+        self.enter_offboard(LocalSetpoint(self.position()))()
 
     @book.rule(OFFBOARD)
     def offboard_without_a_stream_cannot_be_armed(self) -> None:
@@ -302,7 +302,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         self.get_ready()
         self.require_mode("offboard")
         self.require_result(mav.TEMPORARILY_REJECTED, mav.ARM, 1.0, 0.0)
-        stop = self.stream(LocalSetpoint(self.place()))
+        stop = self.stream(LocalSetpoint(self.position()))
         self.run(1.5)
         self.require_result(mav.ACCEPTED, mav.ARM, 1.0, 0.0)
         self.require_result(mav.ACCEPTED, mav.ARM, 0.0, mav.FORCE_DISARM)
@@ -362,9 +362,9 @@ class OffboardLossRules(SetpointClient, ParameterClient):
     @book.rule(f"{OFFBOARD} (stricter: a NaN invalidates the whole message)", harms=True)
     def senseless_setpoint_is_no_proof_of_life(self) -> None:
         """A stream of invalid setpoints counts as lost."""
-        place = self.begin()
-        for name, setpoint in invalid_setpoints(self, place).items():
-            self.follow(LocalSetpoint(place), 1.5)
+        position = self.begin()
+        for name, setpoint in invalid_setpoints(self, position).items():
+            self.follow(LocalSetpoint(position), 1.5)
             stop = self.stream(setpoint)
             self.run(2.5)
             is_alive = self.is_in("offboard")
@@ -386,4 +386,4 @@ class OffboardLossRules(SetpointClient, ParameterClient):
         far = (before[0] + 30.0, before[1], before[2] - 20.0)
         self.fly(LocalSetpoint(far, mask=mav.POSITION | 4), 3.0)
         require(self.is_in("offboard"), "it left OFFBOARD")
-        require_unmoved(before, self.place(), 1.5)
+        require_unmoved(before, self.position(), 1.5)

@@ -34,7 +34,7 @@ class MissionRules(PlanClient):
         item = replace(item, params=(2.0, 1.5, 0.0, mav.NAN))
         self.require_upload(self.with_home([item]))
         found = self.stored()[0]
-        require((found.x, found.y, found.z) == (item.x, item.y, item.z), "the place changed")
+        require((found.x, found.y, found.z) == (item.x, item.y, item.z), "the position changed")
         require(found.params[0] == 2.0, f"param1 {found.params[0]}")
         relative = [mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT]
         if self.is_px4:
@@ -54,7 +54,7 @@ class MissionRules(PlanClient):
             replace(waypoint(home.latitude, home.longitude + 900, amsl_m), frame=0),
         ]
         self.require_upload(self.with_home(items))
-        require([i.x for i in self.stored()] == [i.x for i in items], "the place changed")
+        require([i.x for i in self.stored()] == [i.x for i in items], "the position changed")
 
     @book.rule(SERVICE, flavours=ARDUPILOT)
     def item_zero_is_home(self) -> None:
@@ -99,7 +99,7 @@ class MissionRules(PlanClient):
         self.begin_download()
         first, second = self.request_item(1), self.request_item(1)
         self.finish_download()
-        require(first.place == second.place, "two different items")
+        require(first.lasting_fields == second.lasting_fields, "two different items")
 
     @book.rule(SERVICE)
     def plans_are_stored_apart(self) -> None:
@@ -191,9 +191,10 @@ class MissionRules(PlanClient):
         """A rally point comes back where it was put."""
         (wanted,) = self.rally()
         self.require_upload([wanted], mav.RALLY)
-        found = [item.place for item in self.download(mav.RALLY)]
+        found = [item.lasting_fields for item in self.download(mav.RALLY)]
         self.clear(mav.RALLY)
-        require(found == [wanted.place], f"{found}, not {[wanted.place]}")
+        expected = [wanted.lasting_fields]
+        require(found == expected, f"{found}, not {expected}")
 
     @book.rule("MAVLink guide, Routing")
     def plans_for_another_system_are_ignored(self) -> None:

@@ -216,9 +216,9 @@ class ParameterRules(ParameterClient):
         name = "MIS_TAKEOFF_ALT"
         self.arm()
         self.change(name, 6.0)
-        start = self.place()[2]
+        start = self.position()[2]
         self.command(mav.TAKE_OFF)
         self.await_mode("hold", 30.0)
         self.run(2.0)
-        climbed_m = start - self.place()[2]
+        climbed_m = start - self.position()[2]
         require(abs(climbed_m - 6.0) < 1.0, f"climbed {climbed_m:.1f} m")

@@ -28,7 +28,7 @@ class OffboardRules(SetpointClient):
         north, east, down = self.begin()
         wanted = (north + 8.0, east - 6.0, down - 4.0)
         self.fly(LocalSetpoint(wanted), 12.0)
-        self.require_place(wanted, "local position")
+        self.require_position(wanted, "local position")
 
     @book.rule(LOCAL)
     def velocity_is_flown(self) -> None:
@@ -45,7 +45,7 @@ class OffboardRules(SetpointClient):
         north, east, down = self.begin()
         wanted = (north + 10.0, east, down)
         self.fly(LocalSetpoint(wanted, (0.5, 0.0, 0.0), mask=mav.POSITION_VELOCITY), 12.0)
-        require(math.dist(self.place(), wanted) < 3.0, "it did not get near")
+        require(math.dist(self.position(), wanted) < 3.0, "it did not get near")
 
     @book.rule(LOCAL)
     def acceleration_is_flown(self) -> None:
@@ -58,9 +58,9 @@ class OffboardRules(SetpointClient):
     @book.rule(f"{COMMON} (yaw: 0 is north, clockwise)")
     def yaw_is_flown(self) -> None:
         """A position with a yaw turns the nose there."""
-        place = self.begin()
+        position = self.begin()
         for yaw in (math.pi / 2.0, -2.0):
-            self.fly(LocalSetpoint(place, yaw_rad=yaw, mask=mav.POSITION_YAW), 8.0)
+            self.fly(LocalSetpoint(position, yaw_rad=yaw, mask=mav.POSITION_YAW), 8.0)
             shown = self.request(mav.Attitude).yaw
             off = math.remainder(shown - yaw, math.tau)
             require(abs(off) < 0.15, f"yaw {shown:.2f}, not {yaw:.2f} rad")
@@ -77,8 +77,8 @@ class OffboardRules(SetpointClient):
     @book.rule(f"{COMMON} (frame BODY_NED: relative to the nose)")
     def body_velocity_is_relative_to_the_nose(self) -> None:
         """A velocity in BODY_NED is flown relative to the nose."""
-        place = self.begin()
-        self.fly(LocalSetpoint(place, yaw_rad=math.pi / 2.0, mask=mav.POSITION_YAW), 8.0)
+        position = self.begin()
+        self.fly(LocalSetpoint(position, yaw_rad=math.pi / 2.0, mask=mav.POSITION_YAW), 8.0)
         forward = LocalSetpoint(velocity_mps=(2.0, 0.0, 0.0), mask=mav.VELOCITY, frame=mav.BODY_NED)
         north, east, _ = self.measure_speed(forward)
         require(east > 1.3 and abs(north) < 0.8, f"{north:.1f} m/s north, {east:.1f} east")
@@ -96,7 +96,7 @@ class OffboardRules(SetpointClient):
         wanted, latitude, longitude = self._target_north_east()
         altitude_m = self.request(mav.Origin).altitude / 1e3 - wanted[2]
         self.fly(GlobalSetpoint(latitude, longitude, altitude_m), 14.0)
-        self.require_place(wanted, "frame 5")
+        self.require_position(wanted, "frame 5")
 
     @book.rule(GLOBAL)
     def relative_altitude_is_above_home(self) -> None:
@@ -105,7 +105,7 @@ class OffboardRules(SetpointClient):
         above_home_m = -(wanted[2] - self.home().z)
         frame = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
         self.fly(GlobalSetpoint(latitude, longitude, above_home_m, frame), 14.0)
-        self.require_place(wanted, "frame 6")
+        self.require_position(wanted, "frame 6")
 
     @book.rule(f"{COMMON}, POSITION_TARGET_LOCAL_NED")
     def flown_target_is_reported(self) -> None:
@@ -123,13 +123,13 @@ class OffboardRules(SetpointClient):
     def setpoint_for_another_system_is_ignored(self) -> None:
         """Setpoints for another system or component move nothing."""
         stop = self.begin_streaming()
-        before = self.place()
+        before = self.position()
         far = LocalSetpoint((before[0] + 30.0, *before[1:]))
         self.fly(far, 3.0, (77, 1))
         if self.is_px4:  # ArduCopter 4.5 obeys any component of its system
             self.fly(far, 3.0, (self.target[0], 77))
         stop()
-        require_unmoved(before, self.place(), 1.5)
+        require_unmoved(before, self.position(), 1.5)
 
     @book.rule(f"MAVLink guide, Routing; {BOTH_OBSERVED}")
     def broadcast_setpoint_is_flown(self) -> None:
@@ -137,7 +137,7 @@ class OffboardRules(SetpointClient):
         north, east, down = self.begin()
         wanted = (north + 6.0, east, down)
         self.fly(LocalSetpoint(wanted), 9.0, (0, 0))
-        self.require_place(wanted, "broadcast")
+        self.require_position(wanted, "broadcast")
 
     @book.rule(f"PX4 user guide, Offboard Mode; {BOTH_OBSERVED}")
     def setpoints_outside_the_mode_move_nothing(self) -> None:
@@ -145,26 +145,26 @@ class OffboardRules(SetpointClient):
         self.take_off()
         self.require_mode("hold" if self.is_px4 else "loiter")
         self.run(1.0)
-        before = self.place()
+        before = self.position()
         self.fly(LocalSetpoint((before[0] + 30.0, *before[1:])), 5.0)
-        require_unmoved(before[:2], self.place()[:2], 1.5)
+        require_unmoved(before[:2], self.position()[:2], 1.5)
 
     @book.rule(f"{COMMON} {BOTH_OBSERVED}")
     def setpoint_before_arming_moves_nothing(self) -> None:
         """Disarmed, setpoints neither arm nor move anything."""
         self.get_ready()
-        before = self.place()
+        before = self.position()
         self.fly(LocalSetpoint((before[0] + 30.0, before[1], before[2] - 10.0)), 3.0)
         require(not self.is_armed(), "it is armed")
-        require_unmoved(before, self.place(), 1.0)
+        require_unmoved(before, self.position(), 1.0)
 
     @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
     def setpoint_before_take_off_moves_nothing(self) -> None:
         """Armed on the ground, setpoints do nothing: NAV_TAKEOFF comes first."""
         self.arm()
-        before = self.place()
+        before = self.position()
         self.fly(LocalSetpoint((before[0] + 10.0, before[1], before[2] - 10.0)), 5.0)
-        require_unmoved(before, self.place(), 1.0)
+        require_unmoved(before, self.position(), 1.0)
 
     @book.rule(f"{LOCAL} (stricter: no terrain or 0/0 without terrain data)", harms=True)
     def senseless_setpoint_moves_nothing(self) -> None:
@@ -172,14 +172,14 @@ class OffboardRules(SetpointClient):
         before = self.begin()
         for name, setpoint in invalid_setpoints(self, before).items():
             self.fly(setpoint, 2.5)
-            off_m = math.dist(before, self.place())
+            off_m = math.dist(before, self.position())
             require(off_m < 4.0, f"{name}: moved by {off_m:.1f} m")
             self.follow(LocalSetpoint(before), 3.0)
 
 
-def invalid_setpoints(probe: SetpointClient, place: Triple) -> dict[str, Setpoint]:
+def invalid_setpoints(probe: SetpointClient, position: Triple) -> dict[str, Setpoint]:
     """Return invalid setpoints by their fault."""
-    far = (place[0] + 40.0, place[1], place[2])
+    far = (position[0] + 40.0, position[1], position[2])
     origin = probe.request(mav.Origin)
     force = mav.ACCELERATION | mav.FORCE
     cases: dict[str, Setpoint] = {
@@ -229,12 +229,12 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(GUIDED)
     def one_position_is_flown_and_held(self) -> None:
         """One position message is flown to its end and held, without any stream."""
-        north, east, down = self.place()
+        north, east, down = self.position()
         wanted = (north + 25.0, east, down)
         self.send_setpoint(LocalSetpoint(wanted))
         for when in ("after 15 s", "after 30 s"):
             self.run(15.0)
-            self.require_place(wanted, when)
+            self.require_position(wanted, when)
 
     @book.rule(f"{GUIDED}; GUID_TIMEOUT")
     def velocity_times_out(self) -> None:
@@ -269,23 +269,23 @@ class GuidedRules(SetpointClient, PlanClient):
     @book.rule(f"{GUIDED}, type_mask")
     def one_masked_axis_masks_the_group(self) -> None:
         """One ignored axis ignores its whole group; with nothing left the vehicle stops."""
-        before = self.place()
+        before = self.position()
         for bit in (1, 2, 4):
             far = (before[0] + 30.0, *before[1:])
             self.send_setpoint(LocalSetpoint(far, mask=mav.POSITION | bit))
             self.run(2.0)
-            require_unmoved(before, self.place(), 1.5)
+            require_unmoved(before, self.position(), 1.5)
 
     @book.rule(f"{GUIDED}, coordinate_frame")
     def offset_frames_are_relative(self) -> None:
         """LOCAL_OFFSET_NED, BODY_NED and BODY_OFFSET_NED positions count from the vehicle."""
         for frame in (mav.LOCAL_OFFSET, mav.BODY_NED, mav.BODY_OFFSET):
-            north, east, down = self.place()
+            north, east, down = self.position()
             yaw = 0.0 if frame == mav.LOCAL_OFFSET else self.request(mav.Attitude).yaw
             self.send_setpoint(LocalSetpoint((6.0, 0.0, -2.0), frame=frame))
             self.run(9.0)
             wanted = (north + 6.0 * math.cos(yaw), east + 6.0 * math.sin(yaw), down - 2.0)
-            self.require_place(wanted, f"frame {frame}")
+            self.require_position(wanted, f"frame {frame}")
 
     @book.rule(f"{GUIDED}, coordinate_frame")
     def foreign_frame_stops_the_vehicle(self) -> None:
@@ -299,39 +299,39 @@ class GuidedRules(SetpointClient, PlanClient):
     def global_frames_without_int_are_accepted(self) -> None:
         """GLOBAL_INT setpoints are flown in frames 0 and 3 as in 5 and 6."""
         origin, home = self.request(mav.Origin), self.home()
-        north, east, down = self.place()
+        north, east, down = self.position()
         for number, frame in enumerate((0, 3)):
             wanted = (north + 5.0 + number, east + 4.0, down)
-            place = mav.moved_e7(origin.latitude, origin.longitude, *wanted[:2])
+            position = mav.moved_e7(origin.latitude, origin.longitude, *wanted[:2])
             altitude_m = origin.altitude / 1e3 - down if frame == 0 else home.z - down
-            self.send_setpoint(GlobalSetpoint(*place, altitude_m, frame))
+            self.send_setpoint(GlobalSetpoint(*position, altitude_m, frame))
             self.run(8.0)
-            self.require_place(wanted, f"frame {frame}")
+            self.require_position(wanted, f"frame {frame}")
 
     @book.rule(f"{GUIDED}; ArduPilot wiki, Fences")
     def destination_outside_the_fence_is_refused(self) -> None:
         """Outside the fence a position is ignored and DO_REPOSITION fails."""
         self.require_upload(self.circle(40.0), mav.FENCE)
         self.enable_fence()
-        before = self.place()
+        before = self.position()
         self.send_setpoint(LocalSetpoint((before[0] + 90.0, *before[1:])))
         self.run(4.0)
-        require_unmoved(before, self.place(), 1.5)
+        require_unmoved(before, self.position(), 1.5)
         home = self.home()
-        place = mav.moved_e7(home.latitude, home.longitude, 90.0, 0.0)
-        result = self.reposition(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, (*place, 10.0))
+        position = mav.moved_e7(home.latitude, home.longitude, 90.0, 0.0)
+        result = self.reposition(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, (*position, 10.0))
         require(result == mav.FAILED, f"DO_REPOSITION: result {result}")
 
     @book.rule(GUIDED)
     def running_stream_acts_when_guided_returns(self) -> None:
         """A stream that never stopped acts at once when GUIDED is chosen again."""
-        north, east, down = self.place()
+        north, east, down = self.position()
         wanted = (north + 15.0, east, down)
         self.require_mode("loiter")
         stop = self.stream(LocalSetpoint(wanted))
         self.run(2.0)
-        require_unmoved((north, east), self.place()[:2], 1.5)
+        require_unmoved((north, east), self.position()[:2], 1.5)
         self.require_mode("offboard")
         self.run(10.0)
         stop()
-        self.require_place(wanted, "back in GUIDED")
+        self.require_position(wanted, "back in GUIDED")

@@ -252,8 +252,8 @@ class TelemetryRules(VehicleProbe):
     @book.rule(f"{COMMON}, GPS_GLOBAL_ORIGIN, HOME_POSITION")
     def origin_and_home_come_on_request(self) -> None:
         """GPS_GLOBAL_ORIGIN and HOME_POSITION are sent on request."""
-        for place in (self.request(mav.Origin), self.home()):
-            require(0 < abs(place.latitude) <= 900_000_000, brief(place))
+        for point in (self.request(mav.Origin), self.home()):
+            require(0 < abs(point.latitude) <= 900_000_000, brief(point))
 
     @book.rule(
         f"{COMMON}, SET_GPS_GLOBAL_ORIGIN; MAVSDK waits for exactly these numbers", effect=CHANGES
@@ -270,8 +270,8 @@ class TelemetryRules(VehicleProbe):
             require((after.latitude, after.longitude, after.altitude) == kept, "the origin moved")
             return
         answer = self.expect(mav.Origin, mark=self.asked)
-        place = (answer.latitude, answer.longitude, answer.altitude)
-        require(place == wanted, f"{place}, not {wanted}")
+        position = (answer.latitude, answer.longitude, answer.altitude)
+        require(position == wanted, f"{position}, not {wanted}")
         self.send(mav.SetOrigin(self.target[0], *kept))
         self.run(0.2)
 

@@ -124,10 +124,10 @@ class UploadRules(PlanClient):
     @book.rule(f"{SERVICE}; MAVSDK mission_impl.cpp", flavours=PX4)
     def items_that_mavsdk_sends_are_accepted(self) -> None:
         """Waypoints in frame 6, DO_CHANGE_SPEED in MISSION frame and gimbal items are accepted."""
-        place = replace(self.square(1)[0], params=(0.0, 1.0, 0.0, mav.NAN), current=1)
+        waypoint = replace(self.square(1)[0], params=(0.0, 1.0, 0.0, mav.NAN), current=1)
         frame, gimbal = mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
         items = [
-            place,
+            waypoint,
             MissionItem(
                 mavlink.MAV_CMD_DO_CHANGE_SPEED, frame, (1.0, 4.0, -1.0, mav.NAN), z=mav.NAN
             ),
@@ -190,7 +190,8 @@ class FenceRules(PlanClient):
         self.require_upload(wanted, mav.FENCE)
         found = self.download(mav.FENCE)
         self.clear(mav.FENCE)
-        require([i.place for i in found] == [i.place for i in wanted], "the fence changed")
+        stored, uploaded = ([i.lasting_fields for i in items] for items in (found, wanted))
+        require(stored == uploaded, "the fence changed")
         return found
 
     @book.rule(f"{SERVICE}, Geofence")
@@ -238,6 +239,6 @@ class FenceRules(PlanClient):
         self.reposition(mavlink.MAV_FRAME_GLOBAL, (here.lat + 9_000, here.lon, here.alt / 1e3))
         self.run(25.0)
         home = self.home()
-        distance_m = math.dist(self.place()[:2], (home.x, home.y))
+        distance_m = math.dist(self.position()[:2], (home.x, home.y))
         problem = f"{distance_m:.0f} m from the centre of {radius_m:g} m"
         require(distance_m < radius_m + 15.0, problem)

@@ -83,7 +83,7 @@ def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
     assert estimator.error is None
     assert estimator.reported_enu_m == (1.0, 2.0, 3.0)
     assert rng.standard_normal() == untouched.standard_normal()
-    assert not NavigationParams(compass_error_deg=5.0).errs_in_place
+    assert not NavigationParams(compass_error_deg=5.0).errs_in_position
 
 
 @pytest.mark.parametrize(

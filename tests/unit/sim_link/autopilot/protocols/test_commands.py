@@ -94,14 +94,14 @@ def test_command_int_keeps_its_frame_and_its_integers_exactly() -> None:
 def test_a_place_is_read_from_either_form() -> None:
     by_int = command_of(int_(REPOSITION, 6, 473_977_421, 85_000_000))
     by_long = command_of(long(REPOSITION, NAN, NAN, NAN, NAN, 47.5, 8.5))
-    assert by_int.place_e7 is not None
-    assert by_int.place_e7[0] == 473_977_421
-    assert by_long.place_e7 == (475_000_000, 85_000_000)
+    assert by_int.position_e7 is not None
+    assert by_int.position_e7[0] == 473_977_421
+    assert by_long.position_e7 == (475_000_000, 85_000_000)
 
 
 def test_a_place_left_open_is_none_in_either_form() -> None:
-    assert command_of(int_(REPOSITION, 6, 2**31 - 1, 2**31 - 1)).place_e7 is None
-    assert command_of(long(REPOSITION)).place_e7 is None
+    assert command_of(int_(REPOSITION, 6, 2**31 - 1, 2**31 - 1)).position_e7 is None
+    assert command_of(long(REPOSITION)).position_e7 is None
 
 
 @pytest.mark.parametrize(
