@@ -28,7 +28,7 @@ RESTORED_VARIANCE_FACTOR = 2.0
 
 Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
 """
-MAX_PLACES = 32
+MAX_HYPOTHESES = 32
 """Most hypotheses of a checkpoint; a tracker begins with 24, on the ring of a first range."""
 
 
@@ -59,7 +59,7 @@ class Belief:
 
     def problem(self, size: int) -> str | None:
         """Return why a tracker with a state of `size` components cannot start from it, or None."""
-        if not 0 < len(self.places) <= MAX_PLACES:
+        if not 0 < len(self.places) <= MAX_HYPOTHESES:
             return f"{len(self.places)} hypotheses"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:
             return "an impossible count or emitter"
@@ -68,7 +68,7 @@ class Belief:
             return "an impossible position accuracy"
         if not abs(self.raised_m) <= MAX_COORDINATE_M:
             return "an impossible height"
-        problems = (_problem(place, size) for place in self.places)
+        problems = (_problem(stored, size) for stored in self.places)
         return next((problem for problem in problems if problem is not None), None)
 
 
@@ -83,15 +83,15 @@ def belief_of(
     if not hypotheses:
         return None
     best = hypotheses[0].log_weight
-    places = tuple(
+    stored = tuple(
         StoredHypothesis(
             float(hypothesis.log_weight - best),
             tuple(hypothesis.state.mean.tolist()),
             tuple(tuple(row) for row in _widest(hypothesis).tolist()),
         )
-        for hypothesis in hypotheses[:MAX_PLACES]
+        for hypothesis in hypotheses[:MAX_HYPOTHESES]
     )
-    return Belief(emitter_id, measurements, places, own, raised_m)
+    return Belief(emitter_id, measurements, stored, own, raised_m)
 
 
 def hypotheses_of(
@@ -101,11 +101,11 @@ def hypotheses_of(
     drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, as far as a local frame drifts meanwhile
     walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
-    for place in belief.places:
-        P = RESTORED_VARIANCE_FACTOR * np.array(place.covariance)
+    for stored in belief.places:
+        P = RESTORED_VARIANCE_FACTOR * np.array(stored.covariance)
         P[:2, :2] += walk**2 * max(age_s, 0.0) * np.eye(2)
-        state = FilterState.of(now_s, np.array(place.mean), P)
-        hypotheses.append(Hypothesis(place.log_weight, state))
+        state = FilterState.of(now_s, np.array(stored.mean), P)
+        hypotheses.append(Hypothesis(stored.log_weight, state))
     return tuple(hypotheses)
 
 
@@ -130,15 +130,15 @@ def _widest(hypothesis: Hypothesis) -> Matrix:
     return P * max(1.0, float(np.trace(least) / np.trace(P[:2, :2])))
 
 
-def _problem(place: StoredHypothesis, size: int) -> str | None:
-    if len(place.mean) != size or [len(row) for row in place.covariance] != [size] * size:
+def _problem(stored: StoredHypothesis, size: int) -> str | None:
+    if len(stored.mean) != size or [len(row) for row in stored.covariance] != [size] * size:
         return "a state of another size"
-    values = (place.log_weight, *place.mean, *(v for row in place.covariance for v in row))
+    values = (stored.log_weight, *stored.mean, *(v for row in stored.covariance for v in row))
     if not all(math.isfinite(value) for value in values):
         return "a value that is no number"
-    if max(abs(place.mean[0]), abs(place.mean[1])) > MAX_COORDINATE_M:
-        return "a place beyond the horizon"
-    P = np.array(place.covariance)
+    if max(abs(stored.mean[0]), abs(stored.mean[1])) > MAX_COORDINATE_M:
+        return "a position beyond the horizon"
+    P = np.array(stored.covariance)
     scale = np.sqrt(np.abs(np.diag(P)))
     if np.abs(P - P.T).max() > 1e-6 * float(np.outer(scale, scale).max()):  # rounding leaves less
         return "a covariance that is not symmetric"

@@ -57,7 +57,7 @@ class Hypothesis:
     measurements alone."""
 
     @property
-    def place_enu_m(self) -> Point:
+    def position_enu_m(self) -> Point:
         """East and north of the mean."""
         return (float(self.state.mean[0]), float(self.state.mean[1]))
 
@@ -70,24 +70,24 @@ def first_hypotheses(
     """Return the hypotheses that a target's first measurement gives rise to."""
     range_m, power_dbm = measurement.range_m, measurement.power_dbm
     if range_m is None and not measurement.has_direction and power_dbm is not None:
-        placed = _on_rings(sensor_enu_m, power_dbm, filter_params)
+        polar = _on_rings(sensor_enu_m, power_dbm, filter_params)
     elif range_m is None:
-        placed = [
-            place
+        polar = [
+            each
             for direction_rad in _directions_rad(measurement)
-            for place in _along_ray(direction_rad, filter_params)
+            for each in _along_ray(direction_rad, filter_params)
         ]
     else:
         rise_m = sensor_enu_m[2] - filter_params.target_height_m
         ground_m = math.sqrt(max(range_m**2 - rise_m**2, 1.0))
         if measurement.bearing_enu_rad is None:
-            placed = _on_ring(ground_m, filter_params)
+            polar = _on_ring(ground_m, filter_params)
         else:
             covariance = np.eye(2) * filter_params.position_sigma_m**2
             directions_rad = _directions_rad(measurement)
-            placed = [(direction_rad, ground_m, covariance) for direction_rad in directions_rad]
+            polar = [(direction_rad, ground_m, covariance) for direction_rad in directions_rad]
     hypotheses = []
-    for direction_rad, distance_m, position_covariance in placed:
+    for direction_rad, distance_m, position_covariance in polar:
         mean, sigmas = filter_params.prior
         mean[0] = sensor_enu_m[0] + distance_m * math.cos(direction_rad)
         mean[1] = sensor_enu_m[1] + distance_m * math.sin(direction_rad)
@@ -97,7 +97,7 @@ def first_hypotheses(
     return tuple(hypotheses)
 
 
-_Placed = list[tuple[float, float, Matrix]]
+_Polar = list[tuple[float, float, Matrix]]
 """Direction from the sensor, ground distance, and position covariance (2, 2) of each hypothesis."""
 
 
@@ -127,11 +127,11 @@ def _before_and_behind_rad(array: ArrayDirection, second: float) -> list[float]:
         second_axis, first_axis
     )
     pointed = [(seen + ahead).tolist(), (seen - ahead).tolist()]
-    below = [place for place in pointed if place[2] <= 0.0]
+    below = [direction for direction in pointed if direction[2] <= 0.0]
     return [math.atan2(north, east) for east, north, _ in below or pointed]
 
 
-def _on_ring(ground_m: float, params: FilterParams) -> _Placed:
+def _on_ring(ground_m: float, params: FilterParams) -> _Polar:
     radial_m = math.hypot(params.range_offset_sigma_m, params.range_sigma_m, 0.25 * ground_m)
     across_m = math.pi * ground_m / RING_COUNT
     directions_rad = [2.0 * math.pi * index / RING_COUNT for index in range(RING_COUNT)]
@@ -148,10 +148,10 @@ def distance_by_power_m(power_dbm: float, params: FilterParams) -> float:
     return math.pow(10.0, min(max(decades, 0.0), 3.0))
 
 
-def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams) -> _Placed:
+def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams) -> _Polar:
     """Return the positions about the prior distance, which is known to a factor of three."""
     rise_m = sensor_enu_m[2] - params.target_height_m
-    placed: _Placed = []
+    polar: _Polar = []
     ratios = 0.33, 1.0, 3.0  # 10 to 15 dB at an exponent of 2.75 are a factor of 2.3 to 3.5
     count = RING_COUNT // len(ratios)  # on each ring, two sigmas apart
     for ratio in ratios:
@@ -161,11 +161,11 @@ def _on_rings(sensor_enu_m: PositionEnu, power_dbm: float, params: FilterParams)
         for index in range(count):
             turn_rad = 2.0 * math.pi * index / count
             covariance = _polar_covariance(turn_rad, 0.5 * ground_m, across_m)
-            placed.append((turn_rad, ground_m, covariance))
-    return placed
+            polar.append((turn_rad, ground_m, covariance))
+    return polar
 
 
-def _along_ray(bearing_rad: float, params: FilterParams) -> _Placed:
+def _along_ray(bearing_rad: float, params: FilterParams) -> _Polar:
     sigma_rad = math.radians(
         math.hypot(params.bearing_offset_sigma_deg, 2 * params.bearing_sigma_deg)
     )
@@ -212,11 +212,11 @@ def ranked(
     hypotheses: Iterable[Hypothesis], prior: SearchPrior | None = None
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses best first, with the prior of their positions."""
-    placed = tuple(hypotheses)
-    if prior is not None and len(placed) > 1:
-        placed = tuple(replace(h, log_prior=prior.log_at(h.place_enu_m)) for h in placed)
-    logs = _logs(placed)
-    return tuple(placed[i] for i in sorted(range(len(placed)), key=lambda i: -logs[i]))
+    unranked = tuple(hypotheses)
+    if prior is not None and len(unranked) > 1:
+        unranked = tuple(replace(h, log_prior=prior.log_at(h.position_enu_m)) for h in unranked)
+    logs = _logs(unranked)
+    return tuple(unranked[i] for i in sorted(range(len(unranked)), key=lambda i: -logs[i]))
 
 
 def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
@@ -229,8 +229,8 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
         if log_weight < IMPROBABLE_LOG_RATIO:
             break
         for index, other in enumerate(kept):
-            # within 2 sigma it is the same place; more would merge mirror images: with 1 or 4, R95
-            # of recorded walks changes by up to 3 %, and with 4 that of a flight by 15 %
+            # within 2 sigma it is the same optimum; more would merge mirror images: with 1 or 4,
+            # R95 of recorded walks changes by up to 3 %, and with 4 that of a flight by 15 %
             if _distance2(candidate.state, other.state) < 2.0**2:
                 kept[index] = _merged(other, replace(candidate, log_weight=log_weight))
                 break
@@ -242,8 +242,8 @@ def consolidated(hypotheses: Iterable[Hypothesis]) -> tuple[Hypothesis, ...]:
 def _merged(better: Hypothesis, other: Hypothesis) -> Hypothesis:
     """Return two hypotheses as one at the better position, with the probability of both.
 
-    Of a window's two covariances it has the mixture's second moment about that place, so that R95
-    still contains the other place with its probability.
+    Of a window's two covariances it has the mixture's second moment about that position, so that
+    R95 still contains the other position with its probability.
     """
     log_weight = float(np.logaddexp(better.log_weight, other.log_weight))
     here_m2, there_m2 = better.least_covariance_m2, other.least_covariance_m2

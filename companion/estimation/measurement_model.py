@@ -13,8 +13,8 @@ A measurement is three or, in a model with P0, four numbers in that order, NaN w
 measured: inside the kernels they are one array. With a known height and no elevation the geometry
 is that of the plane.
 
-This module is the only place of h, H and R. Each function takes one measurement, a pose (3,) or
-(9,), or n of them at once, a pose (3, n) or (9, n), and its result has the same last axis: the
+This module is the only definition of h, H and R. Each function takes one measurement, a pose (3,)
+or (9,), or n of them at once, a pose (3, n) or (9, n), and its result has the same last axis: the
 filters update with one, the window solves and planners compare many. The first axis of a result is
 the modality; only the leading ones that it has room for are computed.
 

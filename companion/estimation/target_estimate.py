@@ -39,7 +39,7 @@ symmetry for the whole turn."""
 MAX_AMBIGUOUS = 3
 """Most distinct positions of an ambiguous state; with more of them it is searching.
 
-Chosen: fewer call a search what a detour would resolve, more call a ring of places ambiguous.
+Chosen: fewer call a search what a detour would resolve, more call a ring of positions ambiguous.
 """
 
 
@@ -57,14 +57,16 @@ def estimate_of(
     weights, best, own = probabilities(hypotheses), hypotheses[0], shared.own
     own_sigma_m = shared.settled_own_m(model.own_sigma_m)
     covariances = [
-        shared.within_reach(position_covariance_m2(h, own_sigma_m) + shared.lasting, h.place_enu_m)
+        shared.within_reach(
+            position_covariance_m2(h, own_sigma_m) + shared.lasting, h.position_enu_m
+        )
         for h in hypotheses
     ]
     settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
     if shared.wander.any():
         drift = shared.drift_m2(model.own_sigma_m)
         covariances = [
-            shared.within_reach(covariance + drift, h.place_enu_m)
+            shared.within_reach(covariance + drift, h.position_enu_m)
             for covariance, h in zip(covariances, hypotheses, strict=True)
         ]
         r95_m = max(settled_m, _r95_m(hypotheses, weights, covariances))
@@ -77,13 +79,13 @@ def estimate_of(
     return TargetEstimate(
         time_s=now_s,
         state=state,
-        position_enu_m=best.place_enu_m,
+        position_enu_m=best.position_enu_m,
         covariance_m2=((a, b), (b, c)),
         r95_m=r95_m,
         range_offset_m=float(mean[RANGE_OFFSET]),
         bearing_offset_rad=float(mean[BEARING_OFFSET]),
         measurements=measurements,
-        alternative_enu_m=hypotheses[1].place_enu_m if is_ambiguous else None,
+        alternative_enu_m=hypotheses[1].position_enu_m if is_ambiguous else None,
         height_m=float(mean[height]) if height >= 0 else model.height_m,
         height_sigma_m=math.sqrt(P[height, height]) if height >= 0 else None,
         range_scale=float(mean[scale]) if scale >= 0 else 0.0,
@@ -152,9 +154,9 @@ def budget_of(
 
     `widths` are the window's terms for the best hypothesis, with covariances (2, 2) so far.
     """
-    place_m2 = position_covariance_m2(best, shared.settled_own_m(own_sigma_m))
-    lasting_m2 = shared.within_reach(place_m2 + shared.lasting, best.place_enu_m)
-    terms = [*widths, ("since the last solution", place_m2), ("height and stamps", lasting_m2)]
+    present_m2 = position_covariance_m2(best, shared.settled_own_m(own_sigma_m))
+    lasting_m2 = shared.within_reach(present_m2 + shared.lasting, best.position_enu_m)
+    terms = [*widths, ("since the last solution", present_m2), ("height and stamps", lasting_m2)]
     return {name: r95_of_covariance_m(covariance_m2) for name, covariance_m2 in terms} | {
         "rival places": estimate.settled_r95_m,
         "vehicle position during the search": estimate.r95_m,

@@ -202,10 +202,10 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
     still, fit = (yield from window_map.solve.steps(rows, mean)), _MotionFit(window_map, rows)
     if still is None:
         return None
-    place = np.concatenate([still[0], np.zeros(2)])
+    at_rest = np.concatenate([still[0], np.zeros(2)])
     try:
         with np.errstate(all="ignore"):
-            is_promising = fit.is_promising(place)
+            is_promising = fit.is_promising(at_rest)
         yield passes(10, len(rows))  # as measured, for a covariance
         if not is_promising:
             return None
@@ -214,7 +214,7 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
             covariance, inflation = fit.covariance(moving)
             velocity = moving[-2:]
             significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
-            fall = 2.0 * (fit.cost(place) - fit.cost(moving)) / inflation
+            fall = 2.0 * (fit.cost(at_rest) - fit.cost(moving)) / inflation
     except np.linalg.LinAlgError:
         return None
     if not math.isfinite(fall + significance):

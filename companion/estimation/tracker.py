@@ -158,7 +158,7 @@ class TargetTracker:
         self.emitter_id = measurement.emitter_id
         judgement = self._screen.judge(measurement, sensor_enu_m, now_s)
         if judgement.is_newly_objected and not self.integrity.is_proven:
-            self._forget_place()  # it was derived from the values that are rejected now
+            self._forget_position()  # it was derived from the values that are rejected now
         if judgement.reason is not None:
             self.rejected[judgement.reason] += 1
         if judgement.passed is None:
@@ -303,13 +303,13 @@ class TargetTracker:
 
     def restart(self) -> None:
         """Forget the target but not the emitter, because the frame may have moved."""
-        self._forget_place()
+        self._forget_position()
         self._screen.clear()
         self.last_accepted_s, self.raised_m = None, 0.0
         self.own, self._best_own_m = None, math.inf
         self.prior = None
 
-    def _forget_place(self) -> None:
+    def _forget_position(self) -> None:
         self._moves += 1
         self.hypotheses, self._shared = (), NO_ERRORS
         self._noise = self._first_noise
@@ -345,7 +345,7 @@ class TargetTracker:
 
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Restore a checkpoint with inflated covariances; return why if it cannot be used."""
-        sizes = {len(place.mean) for place in belief.places}
+        sizes = {len(stored.mean) for stored in belief.places}
         if sizes == {len(self.params.with_power.filter.prior[0])}:
             self._set_up(self.params.with_power)
         params = self._filter.params

@@ -49,7 +49,7 @@ class Sample(NamedTuple):
     time_s: float
     value: float
     """Value in metres or radians, if the radio's unit is the right one."""
-    place_enu_m: PositionEnu
+    sensor_enu_m: PositionEnu
     """Position of the sensor."""
     sigma: float = 0.0
     """Standard deviation in use, of a bearing."""
@@ -94,7 +94,7 @@ class _Window:
 
 
 class _Moments:
-    """Moments of ranges (n,) and of distances to positions (places, n) for a factor's cost."""
+    """Moments of ranges (n,) and of distances to positions (p, n) for a factor's cost."""
 
     def __init__(self, range_m: Vector, distances_m: Matrix) -> None:
         self.count = len(range_m)
@@ -112,7 +112,7 @@ class _Moments:
     def residual2(self, factor: Matrix) -> Matrix:
         """Return the sum of squares that factors on the distances leave at each position.
 
-        Factors of all positions are (n, 1), of each position (places,), and so is the result.
+        Factors of all positions are (n, 1), of each position (p,), and so is the result.
         Rounding of the sums is a millionth of the finest resolution squared where ranges spread by
         up to 100 m; guidance does not use wider ones anyhow.
         """
@@ -145,7 +145,7 @@ class UnitCheck:
         count = 20  # each ring is 1.5 times as wide as the one before, to 2 km
         rings = np.geomspace(1.0, max_range_m, count)[:, None, None] * around
         self._around_m: Matrix = rings.reshape(-1, 2)
-        """Trial positions relative to the vehicle, (places, 2)."""
+        """Trial positions relative to the vehicle, (p, 2)."""
         self._rejected_s = 0.0
         self._rejected_m = 0.0
         self.factor: float | None = None
@@ -159,8 +159,8 @@ class UnitCheck:
         """Test ranges, finite and positive, oldest first."""
         now_s, raw_m = samples[-1].time_s, [sample.value for sample in samples]
         middle_m = statistics.median(raw_m)
-        places = np.array([sample.place_enu_m for sample in samples])
-        window = _Window(_clipped(raw_m, middle_m), places)
+        sensor_enu_m = np.array([sample.sensor_enu_m for sample in samples])
+        window = _Window(_clipped(raw_m, middle_m), sensor_enu_m)
         if not self.is_rejected:
             factor, log_ratio = self._likeliest(window, FACTORS, DECISION_LOG_ODDS)
             if log_ratio >= DECISION_LOG_ODDS:
@@ -185,8 +185,8 @@ class UnitCheck:
         self, window: _Window, factors: tuple[float, ...], limit: float
     ) -> tuple[float, float]:
         """Return the likeliest of some factors, and the log of its likelihood ratio to 1."""
-        places = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
-        tried = _Moments(window.range_m, self._distances_m(places, window.sensor_enu_m))
+        positions = self._around_m + window.sensor_enu_m[:, :2].mean(axis=0)
+        tried = _Moments(window.range_m, self._distances_m(positions, window.sensor_enu_m))
         count = tried.independent
         *by_factor, in_metres = self._costs(tried, (*factors, 1.0), count)
         costs = [float(each.min()) for each in by_factor]
@@ -195,38 +195,38 @@ class UnitCheck:
         if log_ratio < limit:
             return factors[best], log_ratio
         # metres get the benefit of positions between the grid points; this only lowers the ratio
-        start = places[[int(np.argmin(in_metres))]]
+        start = positions[[int(np.argmin(in_metres))]]
         distances_m = self._distances_m(self._refined(start, window), window.sensor_enu_m)
         refined = _Moments(window.range_m, distances_m)
         best_in_metres = float(self._costs(refined, (1.0,), count).min())
         return factors[best], min(log_ratio, best_in_metres - costs[best])
 
-    def _distances_m(self, places_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
-        """Return the distances of trial positions from the measuring positions, (places, n)."""
+    def _distances_m(self, positions_enu_m: Matrix, sensor_enu_m: Matrix) -> Matrix:
+        """Return the distances of trial positions from the measuring positions, (p, n)."""
         up = sensor_enu_m[:, 2] - self._params.target_height_m
-        ground2 = (places_enu_m[:, :1] - sensor_enu_m[:, 0]) ** 2
-        ground2 += (places_enu_m[:, 1:] - sensor_enu_m[:, 1]) ** 2
+        ground2 = (positions_enu_m[:, :1] - sensor_enu_m[:, 0]) ** 2
+        ground2 += (positions_enu_m[:, 1:] - sensor_enu_m[:, 1]) ** 2
         distances: Matrix = np.sqrt(ground2 + up**2)
         return distances
 
-    def _refined(self, places_enu_m: Matrix, window: _Window) -> Matrix:
-        """Return the positions after Gauss-Newton steps with a free offset, (places, 2)."""
-        refined = np.array(places_enu_m)
+    def _refined(self, positions_enu_m: Matrix, window: _Window) -> Matrix:
+        """Return the positions after Gauss-Newton steps with a free offset, (p, 2)."""
+        refined = np.array(positions_enu_m)
         for _ in range(5):  # from within a cell of the grid; two steps decide alike on 41 walks
             distances_m = self._distances_m(refined, window.sensor_enu_m)
-            for place, distance_m in zip(refined, distances_m, strict=True):
-                partials = (place - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
+            for position, distance_m in zip(refined, distances_m, strict=True):
+                partials = (position - window.sensor_enu_m[:, :2]) / np.maximum(distance_m, 1e-3)[
                     :, None
                 ]
                 H = np.column_stack([partials, np.ones(len(distance_m))])
                 damped = H.T @ H + 1e-6 * len(distance_m) * np.eye(3)
                 step = np.linalg.solve(damped, H.T @ (window.range_m - distance_m))[:2]
                 limit_m = 0.5 * float(distance_m.mean())
-                place += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
+                position += step * min(1.0, limit_m / max(float(np.hypot(*step)), 1e-9))
         return refined
 
     def _costs(self, tried: _Moments, factors: tuple[float, ...], count: float) -> Matrix:
-        """Return the negative log-likelihood of each factor at each position, (factors, places)."""
+        """Return the negative log-likelihood of each factor at each position, (factors, p)."""
         factor = np.array(factors)[:, None]
         residual2 = tried.residual2(factor) / tried.count
         cost: Matrix = 0.5 * count * np.log(residual2 + self._noise2_m2)
@@ -296,8 +296,8 @@ class BearingCheck:
             self.is_quiet = False
             return
         path_m = 5.0  # at 30 m its end is 10 degrees off: more than any noise of the presets
-        places = [sample.place_enu_m for sample in samples]
-        if sum(math.dist(before, after) for before, after in pairwise(places)) >= path_m:
+        path_enu_m = [sample.sensor_enu_m for sample in samples]
+        if sum(math.dist(before, after) for before, after in pairwise(path_enu_m)) >= path_m:
             self.is_quiet = True
 
 

@@ -102,7 +102,7 @@ def _fix(
         if estimate is None:
             continue
         weights = probabilities(tracker.hypotheses)
-        away = [math.dist(h.place_enu_m, emitter) > APART_M for h in tracker.hypotheses]
+        away = [math.dist(h.position_enu_m, emitter) > APART_M for h in tracker.hypotheses]
         elsewhere = [w for w, is_away in zip(weights, away, strict=True) if is_away]
         is_open = max(elsewhere, default=0.0) >= AMBIGUOUS_PROBABILITY or sum(elsewhere) > 0.5
         if is_open:

@@ -50,7 +50,7 @@ from companion.estimation.window.map_kernels import (
     normal_equations,
     row_sigmas,
 )
-from companion.estimation.window.window_map import SAME_PLACE_M
+from companion.estimation.window.window_map import SAME_OPTIMUM_M
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector, kernel
 from companion.planning.fim import STAY, FieldOfView, best_candidate
@@ -256,7 +256,7 @@ def descended(rows: Matrix, start: Vector, known: Vector, belief: WalkFilter) ->
             rows, mean, offs, damping, limits, bounds, information, pull, model
         )
         step_m = math.hypot(moved[0] - mean[0], moved[1] - mean[1])
-        if math.hypot(moved[0] - known[0], moved[1] - known[1]) < SAME_PLACE_M:
+        if math.hypot(moved[0] - known[0], moved[1] - known[1]) < SAME_OPTIMUM_M:
             return known
         mean = moved
         if step_m < tolerance_m:

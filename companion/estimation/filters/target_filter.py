@@ -130,10 +130,10 @@ class TargetFilter(Protocol):
 
 POWER_SIGMA_DB = 4.5
 """Standard deviation of fast fading, of which a radio averages little: the middle of 3 to 6 dB."""
-POWER_PLACE_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
+POWER_SHADOW_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
 """Standard deviation of shadowing, the middle of 4 to 8 dB, and its correlation length: 10 m in
 rubble to 100 m in the open (M. Gudmundson, Electronics Letters 27, 1991)."""
-POWER_TOTAL_SIGMA_DB = math.hypot(POWER_SIGMA_DB, POWER_PLACE_SIGMA_DB, 1.0 / math.sqrt(12.0))
+POWER_TOTAL_SIGMA_DB = math.hypot(POWER_SIGMA_DB, POWER_SHADOW_SIGMA_DB, 1.0 / math.sqrt(12.0))
 """Standard deviation of one received power, its rounding to 1 dB included."""
 EXPONENT = 2.75
 """Prior mean of the path-loss exponent: the middle of 2 in free space and 3.5 in urban areas
@@ -279,7 +279,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         return self.range_step_m / math.sqrt(12.0)
 
     @property
-    def place_sigmas(self) -> tuple[float, float]:
+    def spatial_sigmas(self) -> tuple[float, float]:
         """Spatially correlated sigmas of a range and a bearing, metres and radians.
 
         The quantisation error of a range is part of them: it repeats within the same step.
@@ -300,10 +300,10 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
             offset_m = max(offset_m, self.range_offset_min_m)
         if self.range_offset_max_m is not None:
             offset_m = min(offset_m, self.range_offset_max_m)
-        place = self.position_sigma_m
+        position_m = self.position_sigma_m
         bearing_rad = math.radians(self.bearing_offset_sigma_deg)
         mean = [0.0, 0.0, offset_m, 0.0]
-        sigmas = [place, place, self.range_offset_sigma_m, bearing_rad]
+        sigmas = [position_m, position_m, self.range_offset_sigma_m, bearing_rad]
         if self.range_scale_sigma > 0.0:
             mean.append(0.0)
             sigmas.append(self.range_scale_sigma)

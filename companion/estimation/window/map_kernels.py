@@ -69,11 +69,11 @@ def argument_columns(model: RangingModel) -> tuple[list[int], list[int], list[in
 
     The pose is the sensor's position, followed by the axes of an antenna array: 3 or 9 columns.
     """
-    place, values, sigmas = [*range(VALUES)], [*range(VALUES, SIGMAS)], [*range(SIGMAS, SEQUENCE)]
+    pose, values, sigmas = [*range(VALUES)], [*range(VALUES, SIGMAS)], [*range(SIGMAS, SEQUENCE)]
     axes = [] if model.antenna == AZIMUTH else [*range(AXES, ARRAY_COLUMNS)]
     if rows_of(model) > POWER:
-        return place + axes, [*values, POWER_VALUE], [*sigmas, POWER_SIGMA]
-    return place + axes, values, sigmas
+        return pose + axes, [*values, POWER_VALUE], [*sigmas, POWER_SIGMA]
+    return pose + axes, values, sigmas
 
 
 def columns_of(model: RangingModel) -> int:

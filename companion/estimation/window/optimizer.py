@@ -156,7 +156,7 @@ def strongest(rows: Matrix) -> NDArray[np.intp]:
 def start_around(rows: Matrix, direction_rad: float, spread: int, params: FilterParams) -> Vector:
     """Return a start off the middle of the path, at the median range or by `spread`.
 
-    With power alone it is off the place where the signal was strongest.
+    With power alone it is off the position where the signal was strongest.
     """
     east, north, up = rows[:, 0].mean(), rows[:, 1].mean(), rows[:, 2].mean()
     ranges = rows[:, VALUES + RANGE]

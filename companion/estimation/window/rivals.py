@@ -11,14 +11,14 @@ Source: Q. H. Vuong, Econometrica 57 (1989), tests two models by the scatter of 
 ratio; here only the noise's part of the scatter counts, because the rest is geometry.
 
 Where errors are spatially correlated, every measurement has the weight that the correlation leaves
-of it on average along the path. But two places differ by residuals that change along the path,
+of it on average along the path. But two optima differ by residuals that change along the path,
 which shared errors do not imitate as easily as an offset: the difference of the costs may decide
-although it is small. So its value is judged by the two distributions that it has if one place or
+although it is small. So its value is judged by the two distributions that it has if one optimum or
 the other is true. Their means are D and -D, with D half the weighted square of the difference of
 the influences, and both have the variance S of the sum above, with the covariance of the spatial
 noise. To S belongs that the path itself is only known to the vehicle's position error, because a
 path that bends no more than this does not separate mirror images. S is estimated from so few
-independent places that the distributions are Student's t, with the degrees of freedom that they
+independent positions that the distributions are Student's t, with the degrees of freedom that they
 leave (F. E. Satterthwaite, Biometrics Bulletin 2, 1946).
 
 Observability. The expected robust curvature matrix is C = sum rho''(r) H H^T / sigma^2, where rho''
@@ -79,7 +79,7 @@ def weigh_optima(
 
     Only the inflation of the best one is used, because a wrong position makes its residuals
     systematic. The volume of an optimum is ignored, or the vaguest would win. `own_sigma_m` is the
-    standard deviation of the vehicle's position at each place.
+    standard deviation of the vehicle's position at each measurement.
     """
     if not optima:
         return []
@@ -119,7 +119,7 @@ def log_ratio_of(
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """Distribution of the difference of two costs, if one of the two places is the true one."""
+    """Distribution of the difference of two costs, if one of the two optima is the true one."""
 
     mean: float
     """Expected difference, from the geometry."""
@@ -129,7 +129,7 @@ class Contrast:
     is known only by its standard deviation."""
 
     def log_ratio(self, gap: float) -> float:
-        """Return the log odds of the place that costs more by `gap`, at most 0."""
+        """Return the log odds of the optimum that costs more by `gap`, at most 0."""
         if self.variance <= 0.0:
             return -gap
         scale = self.degrees * self.variance
@@ -140,9 +140,9 @@ class Contrast:
 def contrast_of(
     rival: Scores, best: Scores, spatial_noise: SpatialNoises, own_sigma_m: float
 ) -> Contrast:
-    """Return the contrast of two places under spatially correlated errors in some modality."""
+    """Return the contrast of two optima under spatially correlated errors in some modality."""
     mean = variance = uncertain = of_own = 0.0
-    turned = rival.by_place - best.by_place
+    turned = rival.by_position - best.by_position
     for m in best.measured:
         field, away = spatial_noise[m], rival.scored[m] - best.scored[m]
         half_square = 0.5 * float(away @ away)
@@ -211,22 +211,24 @@ def observability_of(rows: Matrix, scores: Scores) -> Observability:
     )
 
 
-def track_line(places: Matrix) -> tuple[Vector, Vector, float]:
+def track_line(positions: Matrix) -> tuple[Vector, Vector, float]:
     """Return the line that fits a track (n, 2) best: a point, unit direction, and spread ratio.
 
     The ratio is the spread across over the spread along: 0 for a line or a single position, 1 for a
     track that is as wide as long.
     """
-    centre = places.mean(axis=0)
-    values, vectors = np.linalg.eigh(np.cov((places - centre).T) if len(places) > 1 else np.eye(2))
+    centre = positions.mean(axis=0)
+    values, vectors = np.linalg.eigh(
+        np.cov((positions - centre).T) if len(positions) > 1 else np.eye(2)
+    )
     along2 = float(values[1])
     ratio = math.sqrt(max(float(values[0]), 0.0) / along2) if along2 > 1e-12 else 0.0
     return centre, vectors[:, 1], ratio
 
 
-def mirrored(mean: Vector, places: Matrix) -> Vector:
-    """Return the state (k,) reflected about the line of the track of `places` (n, 2)."""
-    centre, direction, _ = track_line(places)
+def mirrored(mean: Vector, positions: Matrix) -> Vector:
+    """Return the state (k,) reflected about the line of the track of `positions` (n, 2)."""
+    centre, direction, _ = track_line(positions)
     away = mean[:2] - centre
     image = np.array(mean)
     image[:2] = centre + 2.0 * direction * float(direction @ away) - away

@@ -27,7 +27,7 @@ import numpy as np
 
 from companion.estimation.measurement_model import MODALITIES, POWER
 from companion.estimation.stepwise import Steps
-from companion.estimation.window.place_noise import SpatialNoise
+from companion.estimation.window.spatial_noise import SpatialNoise
 from companion.kernel import Matrix, Vector
 
 SpatialNoises = tuple[SpatialNoise | None, ...]
@@ -110,8 +110,8 @@ class Scores:
         return scored
 
     @cached_property
-    def by_place(self) -> Matrix:
-        """(m, n, 2) derivative of each measurement's cost by the vehicle's place, per metre."""
+    def by_position(self) -> Matrix:
+        """(m, n, 2) derivative of each measurement's cost by the vehicle's position, per metre."""
         H = self.H[:, :2].reshape(*self.psi.shape, 2)
         return np.asarray(self.scored[:, :, None] * H)
 

@@ -1,8 +1,8 @@
 """Errors that repeat by position: of every modality, and the shadows of received power.
 
-A radio's ranges and bearings are fitted (`place_noise`), shadows are known beforehand.
+A radio's ranges and bearings are fitted (`spatial_noise`), shadows are known beforehand.
 
-What stands between emitter and vehicle weakens all measurements from about the same place. In dB
+What stands between emitter and vehicle weakens all measurements from about the same position. In dB
 these shadows are a random field over positions with covariance s^2 exp(-d / l), to which fading
 adds a variance of f^2 for each measurement. Unlike errors of ranges and bearings they are part of
 any received power, so that s, f and l are known before the flight.
@@ -10,7 +10,7 @@ any received power, so that s, f and l are known before the flight.
 The window weighs every measurement by what its neighbours repeat of it, and solves for the optimum
 as if errors were independent. The variance of that solution is the one under the field.
 
-A fit from few places explains part of their shadows as the target's position, or as P0, so that
+A fit from few positions explains part of their shadows as the target's position, or as P0, so that
 residuals are smaller than errors. With P the projection of the fit and K the covariance of errors,
 the mean square of residuals is short of that of errors by the share tr(2 P K - P K P^T) / tr K.
 
@@ -27,33 +27,33 @@ from numpy.typing import NDArray
 
 from companion.estimation.filters.target_filter import (
     POWER_LENGTH_M,
-    POWER_PLACE_SIGMA_DB,
+    POWER_SHADOW_SIGMA_DB,
     POWER_SIGMA_DB,
     POWER_TOTAL_SIGMA_DB,
     FilterParams,
 )
 from companion.estimation.measurement_model import BEARING, POWER, RANGE
 from companion.estimation.window.map_kernels import POWER_VALUE, POWER_WEIGHT, SIGMAS
-from companion.estimation.window.place_noise import (
+from companion.estimation.window.sandwich import Scores, SpatialNoises, student_ratio
+from companion.estimation.window.spatial_noise import (
     CELL_SHARE,
     SpatialNoise,
     SpatialPrior,
     clipped_deviation,
     fit_spatial_noise,
 )
-from companion.estimation.window.sandwich import Scores, SpatialNoises, student_ratio
 from companion.kernel import Matrix, Vector
 
 
-def shadow_cells(places: Matrix) -> tuple[NDArray[np.intp], Vector, Matrix]:
+def shadow_cells(positions: Matrix) -> tuple[NDArray[np.intp], Vector, Matrix]:
     """Return the cell (n,) of each position (n, 2), the cells' counts (g,), and their correlation.
 
     The correlation (g, g) is that of the shadows at the centres of a cell's positions.
     """
-    squares = np.round(places / (CELL_SHARE * POWER_LENGTH_M))
+    squares = np.round(positions / (CELL_SHARE * POWER_LENGTH_M))
     _, cell, counts = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
     cell, count = cell.reshape(-1), counts.astype(float)
-    centres = np.stack([np.bincount(cell, axis) for axis in places.T]) / count
+    centres = np.stack([np.bincount(cell, axis) for axis in positions.T]) / count
     apart_m = np.hypot(*(centres[:, :, None] - centres[:, None, :]))
     return cell, count, np.exp(-apart_m / POWER_LENGTH_M)
 
@@ -61,7 +61,7 @@ def shadow_cells(places: Matrix) -> tuple[NDArray[np.intp], Vector, Matrix]:
 def shadow_weights(rows: Matrix) -> Vector:
     """Return the weight of each row's power, (n,), that the shadows it shares with others leave.
 
-    N measurements of one place have the information of one with the variance of the shadow plus
+    N measurements at one position have the information of one with the variance of the shadow plus
     that of fading over N, so that each has the weight (f^2 + s^2) / (f^2 + N s^2); N counts every
     other measurement as far as its shadow is correlated.
     """
@@ -70,7 +70,7 @@ def shadow_weights(rows: Matrix) -> Vector:
     if not has_power.any():
         return weights
     cell, count, correlation = shadow_cells(rows[has_power, :2])
-    fading2, shadow2 = POWER_SIGMA_DB**2, POWER_PLACE_SIGMA_DB**2
+    fading2, shadow2 = POWER_SIGMA_DB**2, POWER_SHADOW_SIGMA_DB**2
     alike = correlation @ count
     weights[has_power] = ((fading2 + shadow2) / (fading2 + shadow2 * alike))[cell]
     return weights
@@ -86,7 +86,7 @@ def shadow_noise(rows: Matrix, scores: Scores, prior: Matrix) -> SpatialNoise:
     seen = scores.is_measured[POWER]
     cell = np.full(len(rows), -1)
     cell[seen], _, correlation = shadow_cells(rows[seen, :2])
-    share = (POWER_PLACE_SIGMA_DB / POWER_TOTAL_SIGMA_DB) ** 2
+    share = (POWER_SHADOW_SIGMA_DB / POWER_TOTAL_SIGMA_DB) ** 2
     unit = SpatialNoise(cell, share * correlation, 1.0 - share, repetition=1.0)
     weights, slope = rows[:, POWER_WEIGHT], scores.slopes[POWER]
     left = 1.0 - absorbed_share(unit, scores.entering(POWER), weights, slope, prior)
@@ -127,7 +127,7 @@ def spatial_noises(
             found[m] = shadow_noise(rows, scores, prior)
             continue
         sigma = float(np.median(rows[scores.is_measured[m], SIGMAS + m]))
-        ratio = params.place_sigmas[min(m, BEARING)] / sigma
+        ratio = params.spatial_sigmas[min(m, BEARING)] / sigma
         if ratio == 0.0 and scores.correlations[m] == 0.0:
             continue
         psi = np.where(scores.is_measured[m], scores.psi[m], np.nan)

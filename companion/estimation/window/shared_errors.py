@@ -10,9 +10,9 @@ so that the emitter seems displaced by b(t) - b(now) when it was measured. In to
 
     W = sum_ij G_i C(t_i, t_j) G_j^T,    C(s, t) = sigma^2 (rho(s - t) - rho(s) - rho(t) + 1)
 
-with G_i = A^-1 H_i^T H_i,place and rho(t) = exp(-|t| / tau), times counted from now. An unestimated
-height and an unknown lag of stamps do appear in residuals, as far as the views differ: they are
-reduced by what the residuals reveal about them.
+with G_i = A^-1 H_i^T H_i,position and rho(t) = exp(-|t| / tau), times counted from now. An
+unestimated height and an unknown lag of stamps do appear in residuals, as far as the views differ:
+they are reduced by what the residuals reveal about them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Chosen: a shorter one claims more drift within a search, and so a wider R95.
 URBAN_GNSS_RATIO = 2.0
 """Single-frequency GNSS error between buildings, 3 to 10 m, over that under the open sky, 1.5 m.
 
-Chosen: the low end. It is assumed that a receiver reports the same accuracy in both places.
+Chosen: the low end. It is assumed that a receiver reports the same accuracy in both surroundings.
 """
 GAP_S = 2.0
 """Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
@@ -131,7 +131,7 @@ class SharedErrors(NamedTuple):
         drift: Matrix = (vectors * np.maximum(values, configured_m**2)) @ vectors.T
         return drift
 
-    def within_reach(self, covariance_m2: Matrix, place_enu_m: Point) -> Matrix:
+    def within_reach(self, covariance_m2: Matrix, position_enu_m: Point) -> Matrix:
         """Return a position covariance (2, 2), limited in every direction by the radio's reach.
 
         That the target lies within reach of the path, and what measurements say of it, are two true
@@ -140,7 +140,7 @@ class SharedErrors(NamedTuple):
         """
         if self.reception is None or np.trace(covariance_m2) <= self.reception.sigma_m**2:
             return covariance_m2
-        away = np.subtract(self.reception.centre_enu_m, place_enu_m)
+        away = np.subtract(self.reception.centre_enu_m, position_enu_m)
         reach: Matrix = self.reception.sigma_m**2 * np.eye(2) + np.outer(away, away)
         if not np.isfinite(covariance_m2).all():
             return reach
@@ -172,19 +172,19 @@ def shared_errors(
     besides them, (k, k). Raises `LinAlgError` if the position is unobservable.
     """
     A_inverse = np.asarray(np.linalg.inv(curvature(scores) + prior), dtype=np.float64)
-    place: Matrix = scores.H[:, EAST : NORTH + 1]
+    position_partials: Matrix = scores.H[:, EAST : NORTH + 1]
     considered = []
     if model.height_index < 0 and sigmas.height_m > 0.0:
         considered.append(sigmas.height_m * _height_partials(rows, mean, scores, model))
     if sigmas.lag_s > 0.0:
         velocity = np.tile(_velocities(rows, times_s), (len(scores.u), 1))
-        considered.append(sigmas.lag_s * np.sum(place * velocity, axis=1))
+        considered.append(sigmas.lag_s * np.sum(position_partials * velocity, axis=1))
     lasting = np.zeros((2, 2))
     if considered:
         lasting = _considered(np.stack(considered, axis=1), scores, A_inverse, prior)
     wander = np.zeros((2, 2))
     if sigmas.own_m > 0.0 and len(times_s):
-        wander = sigmas.own_m**2 * _wander(times_s, A_inverse[:2], scores, place)
+        wander = sigmas.own_m**2 * _wander(times_s, A_inverse[:2], scores, position_partials)
     wander = wander + sigmas.jump_m**2 * np.eye(2)
     return SharedErrors(lasting, wander)
 
@@ -243,7 +243,9 @@ def _velocities(rows: Matrix, times_s: Vector) -> Matrix:
     return velocities
 
 
-def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -> Matrix:
+def _wander(
+    times_s: Vector, A_inverse: Matrix, scores: Scores, position_partials: Matrix
+) -> Matrix:
     """Return W / sigma^2, (2, 2)."""
     n, now_s = len(times_s), float(times_s.max())
     bins = 48  # of 10 min: 13 s, short beside tau; the cost grows with the square
@@ -256,7 +258,7 @@ def _wander(times_s: Vector, A_inverse: Matrix, scores: Scores, place: Matrix) -
     shift = np.repeat(scores.slopes, n)[:, None] * (scores.H @ A_inverse.T)  # (m n, 2)
     total = np.zeros((2, 2))
     for axis in range(2):
-        each = (shift * place[:, axis : axis + 1]).reshape(-1, n, 2).sum(axis=0)
+        each = (shift * position_partials[:, axis : axis + 1]).reshape(-1, n, 2).sum(axis=0)
         G = np.stack([np.bincount(which, each[:, row], bins) for row in range(2)], axis=1)
         total += G.T @ C @ G
     return total

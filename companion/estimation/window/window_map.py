@@ -93,7 +93,7 @@ of recorded walks stays, and that of a flight by ranges of a phone is 3 to 4 % s
 STEP_ITERATIONS = 4
 """Iterations between two interruptions of a solution, which do not change its result: fewer return
 sooner and cost more."""
-SAME_PLACE_M = 0.3
+SAME_OPTIMUM_M = 0.3
 """Distance below which two optima are the same: far below any R95, far above a solution's end."""
 
 Minima = list[tuple[float, Vector]]
@@ -133,7 +133,7 @@ class WindowMap:
         self.prior: tuple[Matrix, Vector] = (np.diag(weights), weights * centre)
         """Information (k, k) of the state's Gaussian prior, and its pull, (k,)."""
         self.size = len(weights)
-        self._has_spatial_errors = any(filter_params.place_sigmas)
+        self._has_spatial_errors = any(filter_params.spatial_sigmas)
         """True if the radio is known for spatially correlated errors."""
         self._reception: tuple[Matrix, ReceptionPath] | None = None
         """Cached reception path of the latest rows."""
@@ -210,7 +210,7 @@ class WindowMap:
             if solution is None:
                 continue
             mean, cost = solution
-            if all(math.dist(mean[:2], other[:2]) > SAME_PLACE_M for _, other in found):
+            if all(math.dist(mean[:2], other[:2]) > SAME_OPTIMUM_M for _, other in found):
                 found.append((cost, mean))
         found.sort(key=lambda pair: pair[0])
         return found
@@ -334,10 +334,10 @@ class WindowMap:
     def reception(self, rows: Matrix) -> ReceptionPath:
         """Return the path of the rows (n, >= 2), and the spread of targets within radio reach."""
         if self._reception is None or self._reception[0] is not rows:
-            places = rows[:, :2]
-            east_m, north_m = places.mean(axis=0).tolist()
+            positions = rows[:, :2]
+            east_m, north_m = positions.mean(axis=0).tolist()
             reach_m = self._p.reach_m or MAX_POSITION_SIGMA_M
-            sigma_m = math.sqrt(reach_m**2 + 0.5 * float(places.var(axis=0).sum()))
+            sigma_m = math.sqrt(reach_m**2 + 0.5 * float(positions.var(axis=0).sum()))
             self._reception = rows, ReceptionPath((east_m, north_m), sigma_m)
         return self._reception[1]
 

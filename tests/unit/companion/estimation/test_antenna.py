@@ -167,8 +167,8 @@ def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
     seen = seen_in_enu(told, LEVEL, antenna)  # its nose is to the north
     tracker = _tracker(antenna)
     tracker.fuse(seen, PLACE, 0.0)
-    assert {math.copysign(1.0, h.place_enu_m[1]) for h in tracker.hypotheses} == sides
-    bearings = [math.atan2(*h.place_enu_m[::-1]) for h in tracker.hypotheses]
+    assert {math.copysign(1.0, h.position_enu_m[1]) for h in tracker.hypotheses} == sides
+    bearings = [math.atan2(*h.position_enu_m[::-1]) for h in tracker.hypotheses]
     assert min(abs(b - seen.bearing_enu_rad) for b in bearings) < 1e-9  # type: ignore[operator]
 
 
@@ -177,9 +177,9 @@ def test_without_a_range_a_line_leaves_two_sides() -> None:
     told = replace(PRINTED, range_m=None, elevation_rad=None)
     tracker = _tracker(antenna)
     tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0)
-    norths = [h.place_enu_m[1] for h in tracker.hypotheses]
+    norths = [h.position_enu_m[1] for h in tracker.hypotheses]
     assert min(norths) < 0.0 < max(norths)
-    assert all(h.place_enu_m[0] > 0.0 for h in tracker.hypotheses)
+    assert all(h.position_enu_m[0] > 0.0 for h in tracker.hypotheses)
 
 
 def test_what_a_planar_array_says_from_right_above_is_no_wrong_unit() -> None:

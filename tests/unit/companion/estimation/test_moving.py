@@ -109,7 +109,7 @@ def test_bearings_from_a_heading_turn_with_it() -> None:
     fed(tracker, rows[100:], 100, turn_rad=TURN_RAD)
     assert tracker.integrity.restarts == 0
     assert not tracker.rejected
-    assert math.dist(tracker.hypotheses[0].place_enu_m, before.mean[:2]) < 1.0
+    assert math.dist(tracker.hypotheses[0].position_enu_m, before.mean[:2]) < 1.0
 
 
 def test_of_a_radio_that_knows_north_they_do_not() -> None:

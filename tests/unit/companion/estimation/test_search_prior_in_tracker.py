@@ -62,19 +62,19 @@ def test_a_decision_of_the_measurements_is_left_alone() -> None:
 
     prior = searched(1.0)
     decided = ranked((at(60.0, 0.96), at(-60.0, 0.04)), prior)
-    assert decided[0].place_enu_m == (0.0, 60.0)
+    assert decided[0].position_enu_m == (0.0, 60.0)
     assert probabilities(decided)[0] == pytest.approx(0.96)
     turned = ranked((at(60.0, 0.9), at(-60.0, 0.1)), prior)
-    assert turned[0].place_enu_m == (0.0, -60.0)
+    assert turned[0].position_enu_m == (0.0, -60.0)
     assert turned[0].log_weight == math.log(0.1)  # of measurements alone
 
 
 def test_the_prior_moves_with_the_frame_and_goes_with_it() -> None:
     tracker = ranged(searched(-1.0), 60.0, 1)
-    before = [h.place_enu_m for h in tracker.hypotheses]
+    before = [h.position_enu_m for h in tracker.hypotheses]
     tracker.move((500.0, 300.0, 0.0), 0.0)
     tracker.optimize()
-    after = [(e - 500.0, n - 300.0) for e, n in (h.place_enu_m for h in tracker.hypotheses)]
+    after = [(e - 500.0, n - 300.0) for e, n in (h.position_enu_m for h in tracker.hypotheses)]
     assert math.dist(before[0], after[0]) < 5.0
     assert probabilities(tracker.hypotheses)[0] > 0.8
     tracker.restart()

@@ -7,7 +7,7 @@ import pytest
 
 from companion.estimation.filters.target_filter import (
     POWER_LENGTH_M,
-    POWER_PLACE_SIGMA_DB,
+    POWER_SHADOW_SIGMA_DB,
     POWER_TOTAL_SIGMA_DB,
 )
 from companion.estimation.measurement_model import POWER
@@ -17,7 +17,6 @@ from companion.estimation.window.map_kernels import (
     POWER_VALUE,
     POWER_WEIGHT,
 )
-from companion.estimation.window.place_noise import SpatialNoise
 from companion.estimation.window.sandwich import Scores
 from companion.estimation.window.shadows import (
     absorbed_share,
@@ -25,9 +24,10 @@ from companion.estimation.window.shadows import (
     shadow_noise,
     shadow_weights,
 )
+from companion.estimation.window.spatial_noise import SpatialNoise
 from companion.kernel import Matrix, Vector
 
-SHARE = (POWER_PLACE_SIGMA_DB / POWER_TOTAL_SIGMA_DB) ** 2
+SHARE = (POWER_SHADOW_SIGMA_DB / POWER_TOTAL_SIGMA_DB) ** 2
 LEVEL_AND_SLOPES = 3
 FREE = np.zeros((LEVEL_AND_SLOPES, LEVEL_AND_SLOPES))
 """Information of no prior."""

@@ -140,7 +140,7 @@ def test_no_range_is_better_than_its_steps() -> None:
     least_m = 78.0 / math.sqrt(12.0)
     row = cell.kernel_row(EVERYTHING, HERE)
     assert row[SIGMAS:SEQUENCE].tolist() == [least_m, 0.02, 0.05]
-    assert cell.place_sigmas == pytest.approx((least_m, 0.0))
+    assert cell.spatial_sigmas == pytest.approx((least_m, 0.0))
     assert cell.range_length_m == 39.0
     worse = FilterParams(range_step_m=78.0, range_sigma_m=30.0, use_reported_sigma=False)
     assert worse.kernel_row(EVERYTHING, HERE)[SIGMAS] == 30.0

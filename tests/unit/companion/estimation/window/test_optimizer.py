@@ -139,7 +139,7 @@ def test_a_place_that_explains_nothing_is_dropped() -> None:
     rows = walk(np.random.default_rng(1), bearings=False)
     hypotheses = (_hypothesis(40.0, -30.0), NEAR)
     (kept,) = _optimized(_fed(rows, hypotheses), hypotheses)
-    assert kept.place_enu_m == pytest.approx(TARGET, abs=2.0)
+    assert kept.position_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
 def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague() -> None:
@@ -160,17 +160,17 @@ def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague() -> None:
 def test_on_a_straight_track_the_mirror_image_is_found() -> None:
     """From one hypothesis on one side, by the start that is its image."""
     rows = walk(np.random.default_rng(4), bearings=False, straight=True)
-    one, other = sorted(_optimized(_fed(rows), fresh=1), key=lambda h: h.place_enu_m[1])
-    assert one.place_enu_m[0] == pytest.approx(other.place_enu_m[0], abs=0.1)
-    assert one.place_enu_m[1] == pytest.approx(-other.place_enu_m[1], abs=0.1)
-    assert other.place_enu_m[1] == pytest.approx(25.0, abs=1.5)
+    one, other = sorted(_optimized(_fed(rows), fresh=1), key=lambda h: h.position_enu_m[1])
+    assert one.position_enu_m[0] == pytest.approx(other.position_enu_m[0], abs=0.1)
+    assert one.position_enu_m[1] == pytest.approx(-other.position_enu_m[1], abs=0.1)
+    assert other.position_enu_m[1] == pytest.approx(25.0, abs=1.5)
     assert one.log_weight == pytest.approx(other.log_weight, abs=0.05)
 
 
 def test_a_bearing_tells_the_image_from_the_target() -> None:
     rows = walk(np.random.default_rng(4), straight=True)
     (only,) = _optimized(_fed(rows), fresh=4)
-    assert only.place_enu_m == pytest.approx(TARGET, abs=2.0)
+    assert only.position_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
 def test_fresh_starts_turn_around_the_path_until_every_optimum_is_found() -> None:
@@ -184,7 +184,7 @@ def test_fresh_starts_turn_around_the_path_until_every_optimum_is_found() -> Non
     optimizer = _fed(rows, hypotheses)
     for _ in range(12):
         hypotheses = _optimized(optimizer, hypotheses, fresh=1)
-    assert hypotheses[0].place_enu_m == pytest.approx(TARGET, abs=2.0)
+    assert hypotheses[0].position_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
 def _tracked(rows: Matrix, tracker_params: TrackerParams) -> TargetTracker:
@@ -243,7 +243,7 @@ def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
     distrusted.begin_with_latest()
     (best,) = _optimized(misled, wrong)
     (alone,) = _optimized(distrusted, wrong)
-    assert best.place_enu_m == pytest.approx(TARGET, abs=1.0)
+    assert best.position_enu_m == pytest.approx(TARGET, abs=1.0)
     np.testing.assert_allclose(best.state.mean, alone.state.mean, atol=2e-3)
     np.testing.assert_allclose(_sigma_m(best), _sigma_m(alone), rtol=0.05)
     (again,) = _optimized(misled, (best,))
@@ -270,7 +270,7 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
     optimizer = _fed(rows, at, p, size=32)
     assert not optimizer.window.has_bearings
     (only,) = _optimized(optimizer, at)
-    assert only.place_enu_m == pytest.approx(TARGET, abs=2.5)
+    assert only.position_enu_m == pytest.approx(TARGET, abs=2.5)
     assert only.least_covariance_m2 is None  # a place was found
     assert 0.5 < _sigma_m(only) < 10.0
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from companion.estimation.measurement_model import RANGE
-from companion.estimation.window.place_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
 from companion.estimation.window.rivals import (
     IMPROBABLE_LOG_RATIO,
     Contrast,
@@ -19,6 +18,7 @@ from companion.estimation.window.rivals import (
     weigh_optima,
 )
 from companion.estimation.window.sandwich import Scores
+from companion.estimation.window.spatial_noise import SpatialNoise, SpatialPrior, fit_spatial_noise
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, reflected, walk

@@ -23,7 +23,7 @@ from companion.estimation.window.rivals import mirrored, weigh_optima
 from companion.estimation.window.sandwich import shares_of
 from companion.estimation.window.window_map import (
     MAX_POSITION_SIGMA_M,
-    SAME_PLACE_M,
+    SAME_OPTIMUM_M,
     STEP_ITERATIONS,
     WindowMap,
 )
@@ -147,7 +147,7 @@ def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
     assert costs == sorted(costs)
     places = [optimum.mean[:2] for optimum in optima]
     for index, place in enumerate(places):
-        assert all(math.dist(place, other) > SAME_PLACE_M for other in places[:index])
+        assert all(math.dist(place, other) > SAME_OPTIMUM_M for other in places[:index])
     assert places[0] == pytest.approx(TARGET, abs=2.0)
 
 

@@ -126,24 +126,26 @@ class SpatialNoise:
 
 
 def fit_spatial_noise(
-    places: Matrix,
+    positions: Matrix,
     psi: Vector,
     partials: Matrix,
     slope: float,
     prior: Matrix,
     prior_noise: SpatialPrior,
 ) -> SpatialNoise:
-    """Return the field of the influences psi (n,), NaN where not measured, at `places` (n, 2).
+    """Return the field of the influences psi (n,), NaN where not measured, at `positions` (n, 2).
 
     `partials` (n, k) are whitened, `slope` is the share of them on the quadratic part, and `prior`
     (k, k) is the information of the state's prior.
     """
     seen = ~np.isnan(psi)
-    index, way_m = cells_of(places[seen], CELL_SHARE * prior_noise.length_m)
+    index, way_m = cells_of(positions[seen], CELL_SHARE * prior_noise.length_m)
     cell = np.full(len(psi), -1)
     cell[seen] = index
     count = np.bincount(index).astype(float)
-    mean = _means(np.column_stack([psi[seen], places[seen], slope * partials[seen]]), index, count)
+    mean = _means(
+        np.column_stack([psi[seen], positions[seen], slope * partials[seen]]), index, count
+    )
     y, centres, X = mean[:, 0], mean[:, 1:3], mean[:, 3:]
     scatter = float(np.sum((psi[seen] - y[index]) ** 2))
     degrees = len(index) - len(count)
@@ -182,13 +184,13 @@ def _log_prior(prior_noise: SpatialPrior) -> Vector:
     return -0.5 * np.array(2 * deviations2)
 
 
-def cells_of(places: Matrix, least_m: float) -> tuple[Indices, Vector]:
+def cells_of(positions: Matrix, least_m: float) -> tuple[Indices, Vector]:
     """Return the cell of each of the positions (n, 2), and each cell's distance along the track.
 
     A cell begins where the vehicle is far enough from the start of the one before, so that hovering
     stays within one; cells are as long as needed to be few enough.
     """
-    points = places.tolist()
+    points = positions.tolist()
     most = 32  # the cost grows with the third power
     while True:
         index, ways_m, begin = [0] * len(points), [0.0], points[0]

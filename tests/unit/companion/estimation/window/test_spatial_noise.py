@@ -9,7 +9,7 @@ from companion.config.schema import load_config
 from companion.domain import EstimateState
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.window.map_kernels import clipped
-from companion.estimation.window.place_noise import (
+from companion.estimation.window.spatial_noise import (
     SpatialPrior,
     cells_of,
     clipped_deviation,
