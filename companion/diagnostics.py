@@ -1,15 +1,13 @@
-"""Diagnostics of the process and its links, for the event log and the operator.
+"""Health of the process: diagnostics of it and its links, service manager, watchdog, priority.
 
-Memory, descriptors, threads and processor time are read from /proc where there is one, otherwise as
-far as the standard library provides them. A link that refuses frames is reported; a refused frame
-is not sent again: the next control tick sends a newer one.
+Diagnostics. Memory, descriptors, threads and processor time are read from /proc where there is one,
+otherwise as far as the standard library provides them. A link that refuses frames is reported; a
+refused frame is not sent again: the next control tick sends a newer one.
 
-Service manager notification (`sd_notify`), its watchdog, and priority of the flying thread.
-
-The manager is notified that the process is ready, alive or stopping, and of its status: datagrams
-of `KEY=VALUE` lines to the socket named by NOTIFY_SOCKET, a path or, with a leading `@`, a name in
-the abstract namespace. Nothing is sent if the variable is not set. The socket never blocks: a
-manager that does not read loses notifications and costs no time.
+Service manager (`sd_notify`). It is notified that the process is ready, alive or stopping, and of
+its status: datagrams of `KEY=VALUE` lines to the socket named by NOTIFY_SOCKET, a path or, with a
+leading `@`, a name in the abstract namespace. Nothing is sent if the variable is not set. The
+socket never blocks: a manager that does not read loses notifications and costs no time.
 
 The watchdog is fed only when every part of the process responded: the control tick (it ran since
 the last feed; this code itself runs on its thread), the writers of logs and checkpoints (their

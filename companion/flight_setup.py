@@ -36,7 +36,7 @@ from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import kept_offsets, radio_key
 from companion.io.files import FLIGHT, write_bytes_atomic
 from companion.io.links.transports import FlightLink, parse_flight_link, radio_link
-from companion.io.vehicle_lock import state_directory
+from companion.io.state_directory import state_directory
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
 from companion.link.intake import Authenticity

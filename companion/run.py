@@ -50,7 +50,7 @@ from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link
 from companion.io.mcap_file import McapLog
 from companion.io.shell import Clock, Shell
-from companion.io.vehicle_lock import (
+from companion.io.state_directory import (
     SigningKeeper,
     VehicleLock,
     load_signing_key,

@@ -18,7 +18,7 @@ from companion.config.loader import load_yaml
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_json_atomic, write_text_atomic
 from companion.io.links.transports import Line, OwnLine, Transport, UdpFanOut, shared
-from companion.io.vehicle_lock import load_signing_key, store_signing_key
+from companion.io.state_directory import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
 from companion.mav.signing import KEY_LENGTH, Signing
 from sim_link.autopilot.endpoint import SimEndpoint

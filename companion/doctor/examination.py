@@ -43,7 +43,7 @@ from companion.guidance.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport, check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
-from companion.io.vehicle_lock import VehicleLock, load_signing_key, state_directory
+from companion.io.state_directory import VehicleLock, load_signing_key, state_directory
 from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.interface import LinkRole

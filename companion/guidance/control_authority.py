@@ -1,13 +1,11 @@
-"""Control authority: the phase, and when offboard mode counts as selected by the operator.
+"""Control authority: the phase, offboard mode as the operator's choice, and verdicts of watches.
 
-The module also decides when a search is due, when the companion must be silent, and which mode it
-requests to hand back.
+The module decides when offboard mode counts as selected by the operator. It also decides when a
+search is due, when the companion must be silent, and which mode it requests to hand back.
 
-Findings of a session's watches, and the verdict that each leads to.
-
-At every tick each watch may return a finding; the worst one decides the phase. A finding has a
-reason, which is counted, and a text, which is announced. A new failsafe is a reason here, a `Watch`
-in this folder, and an entry in `Watches`.
+Verdicts. At every tick each watch may return a finding; the worst one decides the phase. A finding
+has a reason, which is counted, and a text, which is announced. A new failsafe is a reason here, a
+`Watch` in this folder, and an entry in `Watches`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Readiness for control: the inputs that it needs, why it is blocked, and the launch permit.
+"""Readiness for control: its inputs, what blocks it, the launch permit, and an earlier session.
 
 The inputs are one row each, for readiness, its texts and the doctor's verdict; docs/flying.md has
 the same rows, and a test compares them.
@@ -7,17 +7,15 @@ A vehicle seen armed or flying before an automatic launch loses the launch permi
 of this process, and the operator engages as with `engage: operator`. If the autopilot does not
 report its landed state, the launch waits.
 
-Recovery of the state that an earlier process of ours kept.
-
-Theory of operation. A session can return the state that a later one needs at any time: its phase,
-its reports, its estimates of the target, and the frames of its positions and its fence. If there
-was an earlier session, a later one never launches by itself. It then restores the state in two
-steps. The phase at once: a session that had yielded stays silent until a grant, one that was in
-control until another mode was chosen, because PX4 may return to OFFBOARD by itself, and one that
-had reported does not search again. The estimate only when the autopilot's origin confirms that
-local coordinates still mean the same places, because an estimate in another frame is wrong without
-looking wrong. The autopilot's fences of a flight are restored in the air even if the mission is
-another one. No step takes control: the operator hands it over, as always.
+Theory of operation of the recovery. A session can return the state that a later one needs at any
+time: its phase, its reports, its estimates of the target, and the frames of its positions and its
+fence. If there was an earlier session, a later one never launches by itself. It then restores the
+state in two steps. The phase at once: a session that had yielded stays silent until a grant, one
+that was in control until another mode was chosen, because PX4 may return to OFFBOARD by itself, and
+one that had reported does not search again. The estimate only when the autopilot's origin confirms
+that local coordinates still mean the same places, because an estimate in another frame is wrong
+without looking wrong. The autopilot's fences of a flight are restored in the air even if the
+mission is another one. No step takes control: the operator hands it over, as always.
 """
 
 from __future__ import annotations

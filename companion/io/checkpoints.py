@@ -1,4 +1,6 @@
-"""Checkpoints: a mission's memory in two files written alternately, with a checksum.
+"""Memory on disk: checkpoints of a mission, and range offsets of single radios between flights.
+
+A checkpoint is one of two files that are written alternately, with a checksum:
 
     magic (4)  version (2)  zero (2)  length of the payload (4)  payload  CRC-32 of all before (4)
 
@@ -9,10 +11,8 @@ memory is worse than none.
 A checkpoint replaces the older of the two files (`files.write_bytes_atomic`, in a thread of its
 own), so that neither a power cut nor a kill can lose both. A reader takes the newest valid one.
 
-Range offsets of single radios, kept by serial number between flights.
-
-A USB radio is recognised by its name in `/dev/serial/by-id` on Linux, which has its maker and
-serial number; any other one by its address.
+Range offsets are kept by serial number. A USB radio is recognised by its name in
+`/dev/serial/by-id` on Linux, which has its maker and serial number; any other one by its address.
 """
 
 from __future__ import annotations

@@ -32,8 +32,9 @@ import math
 from collections.abc import Mapping
 from enum import IntEnum
 
-from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
+from companion.guidance.commands import Announce, Severity
 from companion.link.binding import AutopilotBinding
+from companion.link.text_gate import CAUSE_PERIOD_S
 from companion.mav.codec import (
     CRC_LENGTH,
     HEADER_LENGTH,

@@ -1,6 +1,4 @@
-"""Interface of the endpoint: roles of links, parameters, journal, recorder.
-
-Settings of one radio: how its readings become measurements, and the ids of its emitters.
+"""Interface of the endpoint: roles of links, parameters, settings of a radio, journal, recorder.
 
 The mount is configured in one place for each kind of antenna. A direction finder's angle about its
 upright is turned by `bearing_mount_deg` here, and is then a bearing from the vehicle's nose. An

@@ -19,11 +19,12 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from companion.guidance.commands import Announce, Severity, TextGate
+from companion.guidance.commands import Announce, Severity
 from companion.guidance.control_authority import ID_CONFLICT_S
 from companion.link import outbound
 from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
+from companion.link.text_gate import TextGate
 from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, MavCodec
 from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
 from companion.mav.endpoint import Address, Chunk

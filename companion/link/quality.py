@@ -29,11 +29,12 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
+from companion.guidance.commands import Announce, Severity
 from companion.link.binding import AutopilotBinding
 from companion.link.intake import Intake, RateLimit
 from companion.link.interface import LinkParams
 from companion.link.radio_stage import RadioStage
+from companion.link.text_gate import CAUSE_PERIOD_S
 
 MODULUS = 256
 HALF = MODULUS // 2

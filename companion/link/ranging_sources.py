@@ -19,9 +19,10 @@ from dataclasses import replace
 from typing import Protocol, get_args
 
 from companion.domain import RangingMeasurement
-from companion.guidance.commands import CAUSE_PERIOD_S, Announce, Severity
+from companion.guidance.commands import Announce, Severity
 from companion.link.conversion.sender_clock import CLOCK_TOLERANCE_S, SenderClock, VehicleClock
 from companion.link.intake import RateLimit
+from companion.link.text_gate import CAUSE_PERIOD_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message, Message, RangingFlag, mavlink
 

@@ -33,11 +33,9 @@ golden angle; the vehicle is level; a planar array is assumed level; path loss i
 
 Source of the derivatives: those of `companion/estimation/measurement_model.py`, for a level body.
 
-Arithmetic of the crossing planners, as kernels.
-
-Points and unit vectors are east and north, metres. A latch is the memory of `LatchedCrossing` of
-the current crossing. The class chooses among directions by these
-kernels. Source: see `crossing`.
+The kernels with which `crossing.LatchedCrossing` chooses among directions are here as well. Their
+points and unit vectors are east and north, in metres; a latch is its memory of the current
+crossing.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from companion.io.files import check_writable, write_json_atomic
 from companion.io.links.transports import check_exposure, parse_flight_link
 from companion.io.radio_recording import RadioBytes, RecordedOrigin, TimedPose, read_radio_recording
 from companion.io.shell import Clock, Shell
-from companion.io.vehicle_lock import state_directory
+from companion.io.state_directory import state_directory
 from companion.link.interface import LinkRole, RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
 from companion.mav.endpoint import Chunk, OneShotEndpoint

@@ -1,16 +1,14 @@
-"""Fits whose errors are correlated within a place, with intervals that account for it.
+"""Fits whose errors are correlated within a place, and the poses and tests of a calibration.
 
-Theory of operation. Reflections and the antenna's orientation give all values of one place the same
-error, so a thousand values of five places are five. Variances are therefore those of the
-delete-one-place jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and Statistics 98,
-2016), and intervals are Student's with places less parameters as degrees of freedom.
+Theory of operation of the fits. Reflections and the antenna's orientation give all values of one
+place the same error, so a thousand values of five places are five. Variances are therefore those of
+the delete-one-place jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and Statistics
+98, 2016), and intervals are Student's with places less parameters as degrees of freedom.
 
-Poses of the vehicle while a radio was calibrated, and the tests that it performed.
-
-Theory of operation. Everything is evaluated at a time, so that a lag is a shift of it. Positions
-and roll and pitch are interpolated, yaw along its shorter way. The tests are recognised by yaw and
-distance: a turn changes yaw without moving, a circle moves about the point without a change of
-distance, a line has several distances.
+Theory of operation of the poses. Everything is evaluated at a time, so that a lag is a shift of it.
+Positions and roll and pitch are interpolated, yaw along its shorter way. The tests are recognised
+by yaw and distance: a turn changes yaw without moving, a circle moves about the point without a
+change of distance, a line has several distances.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ from companion.io.radio_recording import (
     TimedPose,
 )
 from companion.io.shell import Clock, Shell
-from companion.io.vehicle_lock import VehicleLock, state_directory
+from companion.io.state_directory import VehicleLock, state_directory
 from companion.link import outbound
 from companion.link.autopilot_queries import StreamFreshness, StreamRequester
 from companion.link.binding import AutopilotBinding

@@ -1,16 +1,13 @@
 """Devices that print received powers, and cells on board that report the timing advance.
 
-Powers alone: scans, a sniffer, LoRa gateways, a detector of pulses.
+Powers come from scans, a sniffer, LoRa gateways, and a detector of pulses. Sources: `iw dev ...
+scan` on a Raspberry Pi; BlueZ 5.65 `btmon`; ESP32 promiscuous sketches; Semtech packet forwarder,
+PROTOCOL.TXT sections 3.2 and 4 (PUSH_DATA, rxpk); ChirpStack 4, uplink event; The Things Stack,
+"Data Formats"; DonLakeFlyer/MavlinkTagController2, `pulse_detector.py`.
 
-Sources: `iw dev ... scan` on a Raspberry Pi; BlueZ 5.65 `btmon`; ESP32 promiscuous sketches;
-Semtech packet forwarder, PROTOCOL.TXT sections 3.2 and 4 (PUSH_DATA, rxpk); ChirpStack 4, uplink
-event; The Things Stack, "Data Formats"; DonLakeFlyer/MavlinkTagController2, `pulse_detector.py`.
-
-Cells on board that report the timing advance: srsRAN 4G, srsRAN Project, OAI.
-
-The timing advance is the round-trip time, in steps that are cut off downwards where the random
-access channel measures it: 16 Ts (78.07 m) in LTE, half of that in NR at 30 kHz. A phone is
-identified by the temporary identity of its attachment.
+The cells are srsRAN 4G, srsRAN Project and OAI. The timing advance is the round-trip time, in steps
+that are cut off downwards where the random access channel measures it: 16 Ts (78.07 m) in LTE, half
+of that in NR at 30 kHz. A phone is identified by the temporary identity of its attachment.
 
 Sources: 3GPP TS 36.213 4.2.3 and TS 38.213 4.2; the logs' formats as srsRAN_4G, srsRAN Project and
 OpenAirInterface print them.

@@ -9,8 +9,8 @@ from functools import partial
 import pytest
 
 from companion.config.schema import CompanionConfig
-from companion.guidance.commands import CAUSE_PERIOD_S
 from companion.guidance.phases import IN_CONTROL
+from companion.link.text_gate import CAUSE_PERIOD_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import Fault, Schedule, StreamMute

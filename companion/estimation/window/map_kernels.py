@@ -2,16 +2,12 @@
 
 Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
 sequence number], NaN where nothing was measured, followed by the two axes of an antenna array, and
-by power, its sigma and its weight, as far as the model has them (`measurement_model`).
-Residuals are whitened and laid out modality by modality, (m, n), with the m modalities of the
-model; missing measurements have residual zero and a zero row of partials, so that they contribute
-nothing. A Gaussian prior 1/2 x^T L x - e^T x is added.
-
-Paper: eq. (9).
-
-Measurements that left the window, as a Gaussian prior.
-
-Each is expanded to second order about the estimate at the time when it left, and summed:
+by power, its sigma and its weight, as far as the model has them (`measurement_model`). Residuals
+are whitened and laid out modality by modality, (m, n), with the m modalities of the model; missing
+measurements have residual zero and a zero row of partials, so that they contribute nothing. A
+Gaussian prior 1/2 x^T L x - e^T x is added (paper: eq. (9)). It contains the measurements that left
+the window. Each is expanded to second order about the estimate at the time when it left, and
+summed:
 
     rho(u(x)) ~ const - psi H^T (x - x0) + 1/2 (x - x0)^T psi' H H^T (x - x0)
 """

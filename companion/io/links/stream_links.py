@@ -1,9 +1,8 @@
-"""Listening TCP ports: one for a single client, one for several.
+"""Links by byte streams: listening TCP ports, programs, standard input, pseudo terminals.
 
-A client is a peer by its address and port; each is a byte stream of its own, so that an endpoint
-keeps the unfinished frames of different clients apart.
-
-Links to programs of this computer: their output, standard input, and a pseudo terminal.
+A TCP port listens for one client, or for several. A client is a peer by its address and port; each
+is a byte stream of its own, so that an endpoint keeps the unfinished frames of different clients
+apart.
 
 Theory of operation of a program. The shell runs it in a session of its own. A second shell beside
 it reads a pipe from this process and ends the whole session when the pipe closes, which happens

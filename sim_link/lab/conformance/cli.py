@@ -23,7 +23,7 @@ from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic
 from companion.io.links import transports
 from companion.io.links.link import Link
-from companion.io.vehicle_lock import load_signing_key
+from companion.io.state_directory import load_signing_key
 from companion.mav.endpoint import Address, Chunk
 from sim_link.lab.conformance import companion_rules, rules
 from sim_link.lab.conformance.rule_run import RuleRun, RunOptions

@@ -1,4 +1,4 @@
-"""A link with faults, its attacker, and the faults of a flight in lockstep, each at its time.
+"""A link with faults and its attacker, in memory, and between real processes on UDP.
 
 Theory of operation. Every fault gets effects with a generator of their own: one per direction for a
 fault of the link, one for all frames of the vehicle and its radio for a fault of content. A
@@ -13,13 +13,14 @@ go to the flight's `FaultyLink`; those of vehicle and pilot become incidents of 
 of the process kill, start and suspend the companion; attackers send from an address of their own,
 or, on a signed link, from the vehicle's.
 
-`sim-link proxy`: faults between a real vehicle or simulator and a real companion on UDP.
+`sim-link proxy` puts faults between a real vehicle or simulator and a real companion on UDP.
 
     vehicle  <-->  its link | faults | the companion's link  <-->  companion
 
-Theory of operation. Either side stands for the other one. Every datagram passes a `FaultyLink`, the
-same as in memory, and what is late waits in a queue; attackers send to the companion from a socket
-of their own. What the system refuses to send is counted and gone, as on any network.
+Theory of operation of the proxy. Either side stands for the other one. Every datagram passes a
+`FaultyLink`, the same as in memory, and what is late waits in a queue; attackers send to the
+companion from a socket of their own. What the system refuses to send is counted and gone, as on any
+network.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Many flights: every script with every seed, one after the other or several at once.
-
-Reports of mission flights: lines for many, and the HTML page of one.
-"""
+"""Many flights, every script with every seed, and reports: lines for many, the HTML page of one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The processes of a mission: child processes, the hub that links them, and their faults.
+"""The processes of a mission: children, the hub that links them, their faults, the operator.
 
 Theory of operation. The hub is a router: what the vehicle says goes to all of its clients, what a
 client says to the vehicle and to the other clients. It does not know the vehicle's ids; it answers
@@ -6,7 +6,7 @@ to the address where the vehicle was heard. Between vehicle and companion lies a
 a `FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults
 of the processes are signals, those of the vehicle incidents sent to the simulator.
 
-The operator flown through MAVSDK: arm, take off, switch modes, come home, land.
+The operator arms, takes off, switches modes, comes home and lands through MAVSDK.
 """
 
 from __future__ import annotations

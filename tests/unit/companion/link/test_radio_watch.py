@@ -7,11 +7,11 @@ from dataclasses import replace
 from companion.config.radios import RadioConfig
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, build_endpoint
-from companion.guidance.commands import TextGate
 from companion.link.intake import MOST_RAW_BYTES, RAW_BYTES, FloodBudget
 from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.quality import RadioWatch
 from companion.link.radio_stage import RadioStage
+from companion.link.text_gate import TextGate
 from companion.mav.endpoint import Chunk
 from companion.view.snapshot import picture_of
 from tests.unit.companion.link.test_radio_stage import KIND, READING, measured

@@ -8,7 +8,7 @@ from struct import pack
 import pytest
 
 from companion.radios.decoder import AngleFrame, RadioReading, radio_kind
-from companion.radios.fira import PER_RAD, FiraUciDecoder, Sr150Decoder
+from companion.radios.fira_pans import PER_RAD, FiraUciDecoder, Sr150Decoder
 
 EMPTY = bytes.fromhex(
     "62 00 00 19 00 02 03 04 05 06 07 08 00 0a 01 01 01 01 00 00 00 00 00 00 00 00 00 00 00"

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from companion.radios.lora_gateways import LoraGatewayDecoder, LoraGatewayOptions, signal_dbm
+from companion.radios.json_radios import LoraGatewayDecoder, LoraGatewayOptions, signal_dbm
 
 DATA = base64.b64encode(b"\x40" + struct.pack("<I", 0x26011BDA) + bytes(8)).decode()
 JOIN = base64.b64encode(b"\x00" + bytes(8) + bytes(range(8, 0, -1)) + bytes(6)).decode()

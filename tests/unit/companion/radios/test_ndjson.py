@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.radios.decoder import AngleFrame, RadioReading
-from companion.radios.lora_gateways import NdjsonDecoder
+from companion.radios.json_radios import NdjsonDecoder
 
 RANGE = b'{"emitter_id":7,"time_usec":1718000000123456,"range":42.5,"range_std":1.5}\n'
 BEARING = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.radios.decoder import Poll, RadioReading, radio_kind
-from companion.radios.fira import PansDecoder, PansOptions, PansTlvDecoder
+from companion.radios.fira_pans import PansDecoder, PansOptions, PansTlvDecoder
 
 FOUR = (
     "DIST,4,AN0,022E,7.94,8.03,0.00,3.44,AN1,9280,7.95,0.00,0.00,5.68,"

@@ -8,7 +8,7 @@ import pytest
 
 from companion.errors import ConfigError
 from companion.io.links.transports import parse_transport
-from companion.io.vehicle_lock import load_signing_key, store_signing_key
+from companion.io.state_directory import load_signing_key, store_signing_key
 from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import ConfigError
-from companion.io.vehicle_lock import load_signing_key, store_signing_key
+from companion.io.state_directory import load_signing_key, store_signing_key
 from companion.mav.signing import SigningKey
 
 DIGITS = "0123456789abcdef" * 4

@@ -12,13 +12,13 @@ import pytest
 
 from companion.errors import LinkError
 from companion.io.links.transports import Pty, SerialPort, UdpBind, UdpConnect
-from companion.io.vehicle_lock import VehicleLock, lock_name, place_of
+from companion.io.state_directory import VehicleLock, lock_name, place_of
 
 UDP = "udpin:127.0.0.1:14550"
 HOLD = """
 import sys
 from pathlib import Path
-from companion.io.vehicle_lock import VehicleLock
+from companion.io.state_directory import VehicleLock
 lock = VehicleLock(Path(sys.argv[1]), sys.argv[2], None)
 print("held", flush=True)
 sys.stdin.read()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from companion.errors import CompanionError, ConfigError
-from companion.io.vehicle_lock import CRASH_MARGIN_S, SigningKeeper, SigningStore
+from companion.io.state_directory import CRASH_MARGIN_S, SigningKeeper, SigningStore
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.signing import (

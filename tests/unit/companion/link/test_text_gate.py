@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.guidance.commands import (
-    CAUSE_PERIOD_S,
-    MOST_CAUSES,
-    Announce,
-    Severity,
-    TextGate,
-    Topic,
-)
+from companion.guidance.commands import Announce, Severity, Topic
+from companion.link.text_gate import CAUSE_PERIOD_S, MOST_CAUSES, TextGate
 
 BYTES_PER_S = 5760.0
 

@@ -1,14 +1,14 @@
-"""FiRa ultra-wideband devices: UCI notifications, and the frames of NXP's SR150 as PX4 reads them.
+"""Ultra-wideband devices of the FiRa consortium's protocol, and those with Decawave's PANS.
 
-Layouts: github.com/google/pica `src/uci_packets.pdl`, and PX4's `uwb_sr150` driver; little-endian.
-Neither has a checksum, so all numbers of a message must be consistent. Angles are Q9.7 degrees with
-the device's sign, each of its own pair of antennas, so arcsines; a figure of merit of 0 means no
-angle. PX4 negates those of its frames, and so does `sr150`.
+FiRa: UCI notifications, and the frames of NXP's SR150 as PX4 reads them. Layouts:
+github.com/google/pica `src/uci_packets.pdl`, and PX4's `uwb_sr150` driver; little-endian. Neither
+has a checksum, so all numbers of a message must be consistent. Angles are Q9.7 degrees with the
+device's sign, each of its own pair of antennas, so arcsines; a figure of merit of 0 means no angle.
+PX4 negates those of its frames, and so does `sr150`.
 
-Decawave PANS on a DWM1001: the lines of its shell, and the answers of its TLV interface.
-
-Over TLV a tag reports nothing by itself. It is queried at most as often as it ranges, and answers
-with its last measurement: an answer that is equal to the millimetre is a repetition.
+PANS on a DWM1001: the lines of its shell, and the answers of its TLV interface. Over TLV a tag
+reports nothing by itself. It is queried at most as often as it ranges, and answers with its last
+measurement: an answer that is equal to the millimetre is a repetition.
 
 Sources: Decawave's host API (`dwm_api`); the shell's lines as users print them. Both have the
 ranges of a tag to its anchors, so the vehicle carries the tag and the hidden one an anchor. The

@@ -1,17 +1,16 @@
-"""LoRa gateways and servers: JSON of Semtech's packet forwarder, ChirpStack, The Things Stack.
+"""Radios that report in JSON: LoRa gateways and servers, and any program that prints RADIO_RANGING.
 
-Each received packet has the power of the whole channel and its signal to noise ratio, from which
-the power of the signal alone follows: it is below the noise more often than not.
+LoRa: Semtech's packet forwarder, ChirpStack, The Things Stack. Each received packet has the power
+of the whole channel and its signal to noise ratio, from which the power of the signal alone
+follows: it is below the noise more often than not.
 
 Sources: Lora-net/packet_forwarder PROTOCOL.TXT 3.2 and 4 (`rxpk`), Lora-net/sx1302_hal the same
 (`rssis`); ChirpStack's `UplinkEvent`, versions 3 and 4; The Things Stack, "Data Formats"; LoRaWAN
 L2 1.0.4 chapters 4 and 6 (addresses in a packet).
 
-RADIO_RANGING as JSON, one object a line, for any radio with a program to print it.
-
-Names and units are those of the message (docs/wire.md): metres, radians, microseconds; received
-power is `power_dbm`. Absent or null values were not measured. Unknown keys are ignored, so a line
-may carry more for its log.
+RADIO_RANGING is one object a line. Names and units are those of the message (docs/wire.md): metres,
+radians, microseconds; received power is `power_dbm`. Absent or null values were not measured.
+Unknown keys are ignored, so a line may carry more for its log.
 """
 
 from __future__ import annotations

@@ -1,17 +1,15 @@
-"""The state directory, and locks in it that allow one companion per vehicle.
+"""The state directory: locks that allow one companion per vehicle, signing key and its timestamps.
 
-`flock` on a file of the state directory: the kernel releases it however the process ends, so a
-stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares the
-link's lock with those bound to others (several vehicles behind one router) and holds its id's lock
-alone; one that binds to the first vehicle it hears holds the link's lock alone.
+Locks. `flock` on a file of the state directory: the kernel releases it however the process ends, so
+a stale lock cannot exist, and the file itself may stay. A companion bound to one system id shares
+the link's lock with those bound to others (several vehicles behind one router) and holds its id's
+lock alone; one that binds to the first vehicle it hears holds the link's lock alone.
 
 The lock is named after the resolved address, however it is spelled. In a directory that all users
 share anyone could take it; so companions of two users, state directories or computers are
 recognised only by their frames, see `companion.link.outlet.OwnFrames`.
 
-The signing key on disk, and the timestamps that signing must keep from run to run.
-
-Theory of operation. Without its own timestamp and the last one of every stream a frame recorded
+Timestamps of signing. Without its own timestamp and the last one of every stream a frame recorded
 before a restart would be accepted after it. They are kept beside the key, in two slots written
 alternately with a checksum, so that a power cut loses one at most. After a crash the last seconds
 are missing: then every stream must first be newer than the stored timestamp by `CRASH_MARGIN_S`.
