@@ -2,7 +2,7 @@
 
 Kernels run as the vehicle runs them, as plain Python: what is compiled is the same source
 (`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own). Checkpoints
-and locks of companions that are started go to a place of their own, which is removed at the end.
+and locks of companions that are started go to a folder of their own, which is removed at the end.
 Modules that wait for real processes are spread among those that calculate, and a worker more than
 there are cores fills the time of their waiting. An example of hypothesis may take as long as a busy
 machine makes it.
@@ -38,7 +38,7 @@ _WAITING = Path(__file__).parent / "e2e"
 
 
 def pytest_unconfigure() -> None:
-    """Remove that place, in every worker, too; they end without running what `atexit` keeps."""
+    """Remove that folder, in every worker, too; they end without running what `atexit` keeps."""
     shutil.rmtree(_STATE, ignore_errors=True)
 
 

@@ -1,4 +1,4 @@
-"""Where each emulated radio is flown: a scenario with its antenna, and a configuration."""
+"""Setup in which each emulated radio is flown: a scenario with its antenna, and a configuration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.radio_formats import POWERS, Format
 
 ROOT = Path(__file__).resolve().parents[1]
 FIELD, FIELD_CONFIG = "configs/scenarios/field", "configs/companion/field"
-PLACES = {
+SETUPS = {
     "canonical": ("", ""),
     "ranges": (f"{FIELD}/phone_ftm.yaml", f"{FIELD_CONFIG}/phone_ftm.yaml"),
     "line": (f"{FIELD}/uwb_tag_line.yaml", f"{FIELD_CONFIG}/uwb_tag_line.yaml"),
@@ -40,17 +40,17 @@ IN_FLIGHT: dict[str, dict[str, object]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A scenario, and how the companion is set for it."""
+class Setup:
+    """A scenario, and the companion's configuration for it."""
 
     scenario: Scenario
     config: CompanionConfig
 
 
 @cache
-def place_of(name: str) -> Place:
-    """By its name in `PLACES`; it engages by itself, cuts no range off, and does not lag."""
-    scenario_path, config_path = PLACES[name]
+def setup_of(name: str) -> Setup:
+    """Return the setup of a name in `SETUPS`; it engages by itself, without range cut or lag."""
+    scenario_path, config_path = SETUPS[name]
     scenario, config = Scenario(), CompanionConfig()
     if scenario_path:
         scenario, config = load_scenario(ROOT / scenario_path), load_config(ROOT / config_path)
@@ -61,20 +61,20 @@ def place_of(name: str) -> Place:
     if name == "bearings":
         payload = msgspec.structs.replace(payload, measures="bearing")
     mission = msgspec.structs.replace(config.mission, engage="auto")
-    return Place(
+    return Setup(
         msgspec.structs.replace(scenario, payload=payload),
         msgspec.structs.replace(config, mission=mission, radios=()),
     )
 
 
 def as_flown(format_: Format) -> Format:
-    """With what its decoder is told in flight."""
+    """Return the format with the decoder's configuration in flight."""
     options = IN_FLIGHT.get(format_.name)
     return format_ if options is None else replace(format_, options=options)
 
 
-def place_name(format_: Format) -> str:
-    """By what the radio tells."""
+def setup_name(format_: Format) -> str:
+    """Return the name of the setup for what the radio measures."""
     if format_.name in OWN:
         return OWN[format_.name]
     if format_ in POWERS:
@@ -83,13 +83,13 @@ def place_name(format_: Format) -> str:
 
 
 def sigmas(format_: Format, scenario: Scenario) -> dict[str, object]:
-    """The settings that make it count for as much as RADIO_RANGING, which tells its sigmas."""
+    """Return settings that weigh it like RADIO_RANGING, which reports its sigmas."""
     antenna, channel = scenario.payload.antenna, scenario.channel
-    told: dict[str, object] = {}
+    settings: dict[str, object] = {}
     if format_.range_m is not None:
-        told["range_sigma_m"] = channel.range_sigma_m
+        settings["range_sigma_m"] = channel.range_sigma_m
     if format_.azimuth_deg is not None:
-        told["bearing_sigma_deg"] = antenna.sigma_deg or channel.bearing_sigma_deg
+        settings["bearing_sigma_deg"] = antenna.sigma_deg or channel.bearing_sigma_deg
     if format_.elevation_deg is not None:
-        told["elevation_sigma_deg"] = antenna.sigma_deg or channel.bearing_sigma_deg
-    return told
+        settings["elevation_sigma_deg"] = antenna.sigma_deg or channel.bearing_sigma_deg
+    return settings

@@ -80,8 +80,8 @@ def samples_of(estimate: TargetEstimate, rng: np.random.Generator) -> Matrix:
     """Return samples (2000, 2) of an estimate, from its covariance scaled to its R95."""
     drawn = rng.multivariate_normal((0.0, 0.0), np.array(estimate.covariance_m2), 2000)
     scale = estimate.r95_m / float(np.quantile(np.hypot(*drawn.T), 0.95))
-    placed: Matrix = np.asarray(estimate.position_enu_m) + scale * drawn
-    return placed
+    samples: Matrix = np.asarray(estimate.position_enu_m) + scale * drawn
+    return samples
 
 
 def scores_of(path: Path, rows: Sequence[WalkRow], seed: int) -> list[Score]:

@@ -90,10 +90,10 @@ def seen_at(
 
 
 def expected_by(
-    state: FilterState, place: PositionEnu, params: FilterParams, error: Vector | None = None
+    state: FilterState, position: PositionEnu, params: FilterParams, error: Vector | None = None
 ) -> RangingMeasurement:
     """What the state itself predicts, with an error on top."""
-    z = predicted(state.mean, np.array(place), params.model) + (0.0 if error is None else error)
+    z = predicted(state.mean, np.array(position), params.model) + (0.0 if error is None else error)
     bearing_rad = math.remainder(float(z[1]), 2.0 * math.pi)
     return seen_at(state.time_s, float(z[0]), bearing_rad, float(z[2]))
 
@@ -121,8 +121,8 @@ def surprises(count: int) -> list[tuple[RangingMeasurement, PositionEnu]]:
     """Measurements from anywhere, of anything."""
     rng, drawn = np.random.default_rng(11), []
     for step in range(count):
-        place = (*rng.uniform(-60.0, 60.0, 2), 20.0)
+        position = (*rng.uniform(-60.0, 60.0, 2), 20.0)
         bearing_rad, up_rad = rng.uniform(-3.0, 3.0), rng.uniform(-1.5, 0.5)
         seen = seen_at(float(step), rng.uniform(1.0, 150.0), bearing_rad, up_rad)
-        drawn.append((seen, place))
+        drawn.append((seen, position))
     return drawn

@@ -131,16 +131,16 @@ def hostile_steps(
 def _step(state: FilterState, params: FilterParams, rng: np.random.Generator) -> HostileStep:
     wait_s = float(rng.choice(WAITS_S))
     late_s = float(rng.choice([0.0, 0.0, 0.5, 1.0, 1e6]))
-    place = (*rng.uniform(-100.0, 100.0, 2).tolist(), float(rng.uniform(0.0, 60.0)))
+    position = (*rng.uniform(-100.0, 100.0, 2).tolist(), float(rng.uniform(0.0, 60.0)))
     if rng.random() < 0.3:  # on the estimate or right above it
         height_index = params.model.height_index
         up = state.mean[height_index] if height_index >= 0 else params.target_height_m
         rise_m = float(rng.choice([0.0, 1e-6, 1e-3, 20.0]))
         aside_m = float(rng.choice([0.0, 1e-9, 1e-3, 0.05]))
-        place = (float(state.mean[0]) + aside_m, float(state.mean[1]), float(up) + rise_m)
+        position = (float(state.mean[0]) + aside_m, float(state.mean[1]), float(up) + rise_m)
     inflation = rng.choice([1.0, 1.0, 4.0, 400.0], 3).tolist()
     measurement = hostile_measurement(state.time_s + wait_s - late_s, rng)
-    return HostileStep(wait_s, measurement, place, (inflation[0], inflation[1], inflation[2]))
+    return HostileStep(wait_s, measurement, position, (inflation[0], inflation[1], inflation[2]))
 
 
 def hostile_measurement(measured_at_s: float, rng: np.random.Generator) -> RangingMeasurement:

@@ -52,12 +52,12 @@ def test_a_plausible_walk_never_loses_certainty(make: MakeFilter, params: Filter
     truth = np.array(state.mean)
     truth[:2] += 10.0, -15.0
     for step in range(60):
-        place = (60.0 * math.cos(0.2 * step), 60.0 * math.sin(0.2 * step), 20.0)
-        z = predicted(truth, np.array(place), params.model)
+        position = (60.0 * math.cos(0.2 * step), 60.0 * math.sin(0.2 * step), 20.0)
+        z = predicted(truth, np.array(position), params.model)
         z += rng.normal(size=3) * [1.5, 0.03, 0.08]
         prior = target_filter.predict(state, float(step))
         seen = seen_at(float(step), float(z[0]), math.remainder(z[1], 2.0 * math.pi), float(z[2]))
-        report = target_filter.update(prior, seen, place)
+        report = target_filter.update(prior, seen, position)
         assert_sane(report, prior, params)
         state = report.state
 
@@ -73,21 +73,21 @@ def test_the_same_place_again_and_again(make: MakeFilter, params: FilterParams) 
 
 def test_right_on_the_estimate(make: MakeFilter, params: FilterParams) -> None:
     state = state_of(params, 1.0)
-    place = (40.0, 20.0, params.target_height_m)
-    report = make(params).update(state, seen_at(0.0, 1e-6, 2.0), place)
+    position = (40.0, 20.0, params.target_height_m)
+    report = make(params).update(state, seen_at(0.0, 1e-6, 2.0), position)
     assert report.is_positive_definite
     assert fault_of(report, state, params.bounds) is None
-    # There is no direction in it: the place stays, only the offsets may take it.
+    # There is no direction in it: the position stays, only the offsets may take it.
     assert report.state.mean[:2].tolist() == [40.0, 20.0]
 
 
 def test_right_above_the_estimate(make: MakeFilter, params: FilterParams) -> None:
-    """The bearing says nothing, the elevation nothing of the place, the range only of the rise."""
+    """The bearing says nothing, the elevation nothing of the position, the range only the rise."""
     state = state_of(params, 1.0)
     for rise_m in (-1e-4, 0.05, 1.0, 20.0):
-        place = (40.0, 20.0, params.target_height_m + rise_m)
+        position = (40.0, 20.0, params.target_height_m + rise_m)
         seen = seen_at(0.0, abs(rise_m) + 2.0, 2.0, -1.2)
-        report = make(params).update(state, seen, place)
+        report = make(params).update(state, seen, position)
         assert report.is_positive_definite
         assert fault_of(report, state, params.bounds) is None
         assert report.state.mean[:2].tolist() == [40.0, 20.0]
@@ -98,9 +98,9 @@ def test_right_above_the_estimate(make: MakeFilter, params: FilterParams) -> Non
 
 
 def test_inflation_makes_it_learn_less(make: MakeFilter, params: FilterParams) -> None:
-    state, place = state_of(params), (0.0, 0.0, 20.0)
-    once = make(params).update(state, seen_at(0.0), place)
-    inflated = make(params).update(state, seen_at(0.0), place, inflation=(9.0, 9.0, 9.0))
+    state, position = state_of(params), (0.0, 0.0, 20.0)
+    once = make(params).update(state, seen_at(0.0), position)
+    inflated = make(params).update(state, seen_at(0.0), position, inflation=(9.0, 9.0, 9.0))
     assert np.trace(inflated.state.covariance) > np.trace(once.state.covariance)
     assert inflated.range is not None
     assert once.range is not None
@@ -129,8 +129,8 @@ def test_time_never_runs_backwards_and_certainty_never_grows_by_waiting(
 
 def test_no_surprise_no_move(make: MakeFilter, params: FilterParams) -> None:
     target_filter, state = make(params), state_of(params)
-    for place in ((0.0, 0.0, 20.0), (80.0, -10.0, 5.0), (41.0, 22.0, 30.0), (60.0, 20.0, 3.0)):
-        report = target_filter.update(state, expected_by(state, place, params), place)
+    for position in ((0.0, 0.0, 20.0), (80.0, -10.0, 5.0), (41.0, 22.0, 30.0), (60.0, 20.0, 3.0)):
+        report = target_filter.update(state, expected_by(state, position, params), position)
         np.testing.assert_allclose(report.state.mean, state.mean, rtol=0.0, atol=1e-12)
         assert np.trace(report.state.covariance[:2, :2]) < np.trace(state.covariance[:2, :2])
         assert report.nis == pytest.approx(0.0, abs=1e-12)
@@ -153,8 +153,10 @@ def test_elevations_end_overhead_and_underfoot(make: MakeFilter, params: FilterP
     mean[:4] = 1e-3, 0.0, 0.0, 0.0
     state = FilterState.of(0.0, mean, np.diag(np.full(mean.size, 1e-4)))
     for side in (1.0, -1.0):
-        place = (0.0, 0.0, params.target_height_m - side * 30.0)
-        report = make(params).update(state, seen_at(0.0, None, None, side * 0.5 * math.pi), place)
+        position = (0.0, 0.0, params.target_height_m - side * 30.0)
+        report = make(params).update(
+            state, seen_at(0.0, None, None, side * 0.5 * math.pi), position
+        )
         assert report.elevation is not None
         assert report.elevation.innovation == pytest.approx(side * 1e-3 / 30.0, rel=1e-3)
         assert_sane(report, state, params)
@@ -170,13 +172,13 @@ def test_the_bearing_offset_stays_an_angle(make: MakeFilter) -> None:
 
 
 def test_an_elevation_tells_the_height(make: MakeFilter) -> None:
-    state, place = state_of(SPACE, 1e-3), (10.0, 20.0, 33.0)
+    state, position = state_of(SPACE, 1e-3), (10.0, 20.0, 33.0)
     up_rad = math.atan2(5.0 - 33.0, 30.0)
-    report = make(SPACE).update(state, seen_at(0.0, None, None, up_rad), place)
+    report = make(SPACE).update(state, seen_at(0.0, None, None, up_rad), position)
     precise = msgspec.structs.replace(SPACE, elevation_sigma_deg=0.005)
     reported = replace(seen_at(0.0, None, None, up_rad), elevation_sigma_rad=1e-4)
     assert precise.effective_sigmas(reported)[2] == 1e-4
-    sharp = make(precise).update(state, reported, place)
+    sharp = make(precise).update(state, reported, position)
     assert 3.0 < report.state.mean[4] < sharp.state.mean[4]
     assert sharp.state.mean[4] == pytest.approx(5.0, abs=0.2)
 
@@ -208,16 +210,16 @@ def test_stored_arrays_are_read_only(make: MakeFilter, params: FilterParams) -> 
 def test_it_reports_what_was_measured_and_nothing_else(
     make: MakeFilter, params: FilterParams
 ) -> None:
-    state, place = state_of(params), (0.0, 0.0, 20.0)
+    state, position = state_of(params), (0.0, 0.0, 20.0)
     for has in range(1, 8):
         seen = seen_at(
             0.0, 50.0 if has & 1 else None, 0.4 if has & 2 else None, -0.3 if has & 4 else None
         )
-        report = make(params).update(state, seen, place)
+        report = make(params).update(state, seen, position)
         assert [m is not None for m in report.modalities] == [bool(has & bit) for bit in (1, 2, 4)]
         parts = [m for m in report.modalities if m is not None]
         rows = [row for row, m in enumerate(report.modalities) if m is not None]
-        H = jacobian(state.mean, np.array(place), params.model)[rows]
+        H = jacobian(state.mean, np.array(position), params.model)[rows]
         R = np.diag([m.noise_sigma**2 / m.weight for m in parts])
         y = np.array([m.innovation for m in parts])
         assert report.nis == pytest.approx(y @ np.linalg.solve(H @ state.covariance @ H.T + R, y))
@@ -228,7 +230,7 @@ def test_it_reports_what_was_measured_and_nothing_else(
 
 
 def test_a_reported_sigma_counts_only_where_it_is_wanted(make: MakeFilter) -> None:
-    place = (0.0, 0.0, 20.0)
+    position = (0.0, 0.0, 20.0)
     vague = replace(
         seen_at(0.0, 50.0, 0.4, -0.3),
         range_sigma_m=50.0,
@@ -236,8 +238,8 @@ def test_a_reported_sigma_counts_only_where_it_is_wanted(make: MakeFilter) -> No
         elevation_sigma_rad=1.0,
     )
     deaf_params = msgspec.structs.replace(SPACE, use_reported_sigma=False)
-    heeding = make(SPACE).update(state_of(SPACE), vague, place)
-    deaf = make(deaf_params).update(state_of(SPACE), vague, place)
-    plain = make(SPACE).update(state_of(SPACE), seen_at(0.0, 50.0, 0.4, -0.3), place)
+    heeding = make(SPACE).update(state_of(SPACE), vague, position)
+    deaf = make(deaf_params).update(state_of(SPACE), vague, position)
+    plain = make(SPACE).update(state_of(SPACE), seen_at(0.0, 50.0, 0.4, -0.3), position)
     assert_same(deaf.state, plain.state)
     assert np.trace(heeding.state.covariance) > np.trace(plain.state.covariance)

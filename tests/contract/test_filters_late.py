@@ -17,11 +17,11 @@ def test_of_a_target_that_lies_still_a_late_measurement_is_as_good(
     make: MakeFilter, params: FilterParams
 ) -> None:
     params = msgspec.structs.replace(params, process_noise_m_per_sqrt_s=0.0)
-    target_filter, place = make(params), (0.0, 0.0, 20.0)
+    target_filter, position = make(params), (0.0, 0.0, 20.0)
     state = target_filter.predict(state_of(params), 10.0)
-    in_time = target_filter.update(state, seen_at(10.0, 50.0, 0.4, -0.3), place)
+    in_time = target_filter.update(state, seen_at(10.0, 50.0, 0.4, -0.3), position)
     for late_s in (1e-3, 0.4, 1.0):
-        late = target_filter.update(state, seen_at(10.0 - late_s, 50.0, 0.4, -0.3), place)
+        late = target_filter.update(state, seen_at(10.0 - late_s, 50.0, 0.4, -0.3), position)
         assert_same(late.state, in_time.state)
         assert late.state.time_s == 10.0
 
@@ -31,10 +31,10 @@ def test_the_walk_since_a_late_measurement_is_noise_of_it(
 ) -> None:
     late_s = 0.4
     walking = msgspec.structs.replace(params, process_noise_m_per_sqrt_s=0.7)
-    target_filter, place = make(walking), (10.0, 0.0, 20.0)
+    target_filter, position = make(walking), (10.0, 0.0, 20.0)
     state = state_of(params)
-    in_time = target_filter.update(state, seen_at(0.0, 50.0, 0.4, -0.3), place)
-    late = target_filter.update(state, seen_at(-late_s, 50.0, 0.4, -0.3), place)
+    in_time = target_filter.update(state, seen_at(0.0, 50.0, 0.4, -0.3), position)
+    late = target_filter.update(state, seen_at(-late_s, 50.0, 0.4, -0.3), position)
     walked_m2 = 0.7**2 * late_s
     away = np.array([30.0, 20.0, params.target_height_m - 20.0])
     ground_m, slant_m = math.hypot(*away[:2]), float(np.linalg.norm(away))
@@ -55,12 +55,12 @@ def test_the_walk_since_a_late_measurement_is_noise_of_it(
 def test_a_late_measurement_says_no_more_than_one_fused_in_its_turn(make: MakeFilter) -> None:
     """The correlation of walk and error that is left out makes the filter more careful."""
     params = FilterParams(process_noise_m_per_sqrt_s=0.7)
-    target_filter, place = make(params), (10.0, 0.0, 20.0)
+    target_filter, position = make(params), (10.0, 0.0, 20.0)
     in_turn = target_filter.predict(
-        target_filter.update(state_of(params, 3.0), seen_at(0.0), place).state, 1.0
+        target_filter.update(state_of(params, 3.0), seen_at(0.0), position).state, 1.0
     )
     late = target_filter.update(
-        target_filter.predict(state_of(params, 3.0), 1.0), seen_at(0.0), place
+        target_filter.predict(state_of(params, 3.0), 1.0), seen_at(0.0), position
     ).state
     difference = np.linalg.eigvalsh(late.covariance - in_turn.covariance)
     assert difference[-1] > 1e-3

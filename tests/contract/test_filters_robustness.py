@@ -34,9 +34,9 @@ def replace_k(params: FilterParams, k: float | None) -> FilterParams:
 def test_huge_thresholds_are_no_thresholds(name: str, params: FilterParams) -> None:
     robust, plain = FILTERS[name](replace_k(params, 1e6)), FILTERS[name](replace_k(params, None))
     one = other = state_of(params)
-    for seen, place in surprises(50):
-        one = robust.update(robust.predict(one, seen.measured_at_s), seen, place).state
-        other = plain.update(plain.predict(other, seen.measured_at_s), seen, place).state
+    for seen, position in surprises(50):
+        one = robust.update(robust.predict(one, seen.measured_at_s), seen, position).state
+        other = plain.update(plain.predict(other, seen.measured_at_s), seen, position).state
         assert_same(one, other)
 
 
@@ -44,9 +44,9 @@ def test_huge_thresholds_are_no_thresholds(name: str, params: FilterParams) -> N
 def test_without_thresholds_a_robust_filter_is_the_ekf(name: str, params: FilterParams) -> None:
     robust, plain = FILTERS[name](replace_k(params, None)), Ekf(params)
     one = other = state_of(params)
-    for seen, place in surprises(50):
-        one = robust.update(robust.predict(one, seen.measured_at_s), seen, place).state
-        other = plain.update(plain.predict(other, seen.measured_at_s), seen, place).state
+    for seen, position in surprises(50):
+        one = robust.update(robust.predict(one, seen.measured_at_s), seen, position).state
+        other = plain.update(plain.predict(other, seen.measured_at_s), seen, position).state
         assert_same(one, other)
 
 
@@ -54,9 +54,9 @@ def test_without_thresholds_much_splitting_is_the_ekf(params: FilterParams) -> N
     split = AdmmEkf(replace_k(params, None), AdmmParams(iterations=1000, penalty=0.1))
     plain = Ekf(params)
     state = state_of(params)
-    for seen, place in surprises(20):
+    for seen, position in surprises(20):
         prior = plain.predict(state, seen.measured_at_s)
-        split_state, state = (f.update(prior, seen, place).state for f in (split, plain))
+        split_state, state = (f.update(prior, seen, position).state for f in (split, plain))
         np.testing.assert_allclose(split_state.covariance, state.covariance, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(split_state.mean, state.mean, rtol=1e-6, atol=1e-6)
 
@@ -68,18 +68,18 @@ def test_with_equal_thresholds_the_asymmetric_filter_is_the_huber_ekf(
     symmetric = AsymmetricHuberEkf(replace_k(params, k))
     huber = HuberEkf(msgspec.structs.replace(params, range_k_long=k, bearing_k=k))
     one = other = state_of(params)
-    for seen, place in surprises(50):
-        one = symmetric.update(symmetric.predict(one, seen.measured_at_s), seen, place).state
-        other = huber.update(huber.predict(other, seen.measured_at_s), seen, place).state
+    for seen, position in surprises(50):
+        one = symmetric.update(symmetric.predict(one, seen.measured_at_s), seen, position).state
+        other = huber.update(huber.predict(other, seen.measured_at_s), seen, position).state
         assert_same(one, other)
 
 
 def test_the_ekf_heeds_no_thresholds(params: FilterParams) -> None:
     one, other = Ekf(params), Ekf(replace_k(params, 0.1))
     state = state_of(params)
-    for seen, place in surprises(10):
-        report = one.update(state, seen, place)
-        assert_same(report.state, other.update(state, seen, place).state)
+    for seen, position in surprises(10):
+        report = one.update(state, seen, position)
+        assert_same(report.state, other.update(state, seen, position).state)
         assert all(m is not None and m.weight == 1.0 for m in report.modalities)
         state = report.state
 
@@ -90,37 +90,37 @@ def test_a_gross_error_moves_a_robust_filter_less_than_the_ekf(
 ) -> None:
     if params == VARIANTS["quadratic"]:
         return
-    place = (0.0, 0.0, 3.0)
+    position = (0.0, 0.0, 3.0)
     state = sure_state(params)
-    gross = expected_by(state, place, params, np.array([30.0, 0.5, 0.0]))
-    robust = FILTERS[name](params).update(state, gross, place)
-    assert moved_m(robust, state) < 0.7 * moved_m(Ekf(params).update(state, gross, place), state)
+    gross = expected_by(state, position, params, np.array([30.0, 0.5, 0.0]))
+    robust = FILTERS[name](params).update(state, gross, position)
+    assert moved_m(robust, state) < 0.7 * moved_m(Ekf(params).update(state, gross, position), state)
     assert robust.range is not None
     assert robust.range.weight < 1.0
 
 
 @pytest.mark.parametrize("name", ONE_SIDED)
 def test_a_long_range_moves_a_one_sided_filter_less_than_a_short_one(name: str) -> None:
-    params, place = FilterParams(), (0.0, 0.0, 0.0)
+    params, position = FilterParams(), (0.0, 0.0, 0.0)
     state = sure_state(params)
     moves_m = []
     for error_m in (30.0, -30.0):
-        seen = expected_by(state, place, params, np.array([error_m, 0.0, 0.0]))
+        seen = expected_by(state, position, params, np.array([error_m, 0.0, 0.0]))
         report = FILTERS[name](params).update(
-            state, replace(seen, bearing_enu_rad=None, elevation_rad=None), place
+            state, replace(seen, bearing_enu_rad=None, elevation_rad=None), position
         )
         moves_m.append(moved_m(report, state))
     assert moves_m[0] < 0.5 * moves_m[1]
 
 
 def test_to_the_symmetric_filter_long_is_as_wrong_as_short() -> None:
-    params, place = FilterParams(), (0.0, 0.0, 0.0)
+    params, position = FilterParams(), (0.0, 0.0, 0.0)
     state = sure_state(params)
     moves_m = []
     for error_m in (30.0, -30.0):
-        seen = expected_by(state, place, params, np.array([error_m, 0.0, 0.0]))
+        seen = expected_by(state, position, params, np.array([error_m, 0.0, 0.0]))
         report = HuberEkf(params).update(
-            state, replace(seen, bearing_enu_rad=None, elevation_rad=None), place
+            state, replace(seen, bearing_enu_rad=None, elevation_rad=None), position
         )
         moves_m.append(moved_m(report, state))
     assert moves_m[0] == pytest.approx(moves_m[1], rel=1e-9)

@@ -38,10 +38,10 @@ def test_bounds_hold_exactly_and_are_reached(
         truth[2:5] = 0.0
         truth[index] = side * (8.0, 0.5, 0.3)[index - 2]
         for step in range(60):
-            place = (*rng.uniform(-60.0, 60.0, 2), 0.0)
-            z = predicted(truth, np.array(place), params.model)
+            position = (*rng.uniform(-60.0, 60.0, 2), 0.0)
+            z = predicted(truth, np.array(position), params.model)
             seen = seen_at(float(step), max(float(z[0]), 0.1), float(z[1]), float(z[2]))
-            state = target_filter.update(state, seen, place).state
+            state = target_filter.update(state, seen, position).state
             assert (params.bounds[0] <= state.mean).all()
             assert (state.mean <= params.bounds[1]).all()
             touched.add(float(state.mean[index]))
@@ -52,10 +52,10 @@ def test_bounds_hold_exactly_and_are_reached(
 
 
 def _plane_update(
-    state: FilterState, seen: RangingMeasurement, place: PositionEnu, params: FilterParams
+    state: FilterState, seen: RangingMeasurement, position: PositionEnu, params: FilterParams
 ) -> tuple[Vector, Vector]:
     """Range and bearing in the plane of flight, written down without any height."""
-    east, north = state.mean[0] - place[0], state.mean[1] - place[1]
+    east, north = state.mean[0] - position[0], state.mean[1] - position[1]
     distance2 = east * east + north * north
     distance = math.sqrt(distance2)
     assert seen.range_m is not None
@@ -90,9 +90,9 @@ def test_with_a_known_height_and_no_elevation_space_is_the_plane_bit_for_bit() -
     target_filter, state = AsymmetricHuberEkf(params), state_of(params)
     for seen, (east, north, _) in surprises(200):
         flat = replace(seen, elevation_rad=None)
-        place = (east, north, 12.5)
-        mean, P = _plane_update(state, flat, place, params)
-        report = target_filter.update(state, flat, place)
+        position = (east, north, 12.5)
+        mean, P = _plane_update(state, flat, position, params)
+        report = target_filter.update(state, flat, position)
         assert abs(mean[3]) < math.pi
         assert report.state.mean.tobytes() == mean.tobytes()
         assert report.state.covariance.tobytes() == P.tobytes()
@@ -102,11 +102,11 @@ def test_with_a_known_height_and_no_elevation_space_is_the_plane_bit_for_bit() -
 def test_elevations_that_do_not_count_are_as_good_as_absent(make: MakeFilter) -> None:
     params = FilterParams(use_elevation=False)
     state = other = state_of(params)
-    for seen, place in surprises(30):
-        report = make(params).update(state, seen, place)
+    for seen, position in surprises(30):
+        report = make(params).update(state, seen, position)
         assert report.elevation is None
         without = replace(seen, elevation_rad=None, elevation_sigma_rad=0.2)
-        other = make(FilterParams()).update(other, without, place).state
+        other = make(FilterParams()).update(other, without, position).state
         assert_same(report.state, other)
         state = report.state
 
@@ -114,9 +114,9 @@ def test_elevations_that_do_not_count_are_as_good_as_absent(make: MakeFilter) ->
 def test_only_the_difference_in_height_counts(make: MakeFilter) -> None:
     low, high = FilterParams(), FilterParams(target_height_m=1024.0)
     one = other = state_of(low)
-    for seen, place in surprises(30):
-        raised = (place[0], place[1], place[2] + 1024.0)
-        one = make(low).update(one, seen, place).state
+    for seen, position in surprises(30):
+        raised = (position[0], position[1], position[2] + 1024.0)
+        one = make(low).update(one, seen, position).state
         other = make(high).update(other, seen, raised).state
         assert_same(one, other)
 
@@ -127,9 +127,9 @@ def test_a_height_known_ever_better_ends_as_a_known_height(make: MakeFilter) -> 
     for sigma_m in (1e-2, 1e-4, 1e-6):
         estimated = msgspec.structs.replace(known, target_height_sigma_m=sigma_m)
         one, other = state_of(estimated, 3.0), state_of(known, 3.0)
-        for seen, place in surprises(20):
-            one = make(estimated).update(one, seen, place).state
-            other = make(known).update(other, seen, place).state
+        for seen, position in surprises(20):
+            one = make(estimated).update(one, seen, position).state
+            other = make(known).update(other, seen, position).state
         distances.append(float(np.abs(one.mean[:4] - other.mean).max()))
     assert distances[0] > distances[1] > distances[2]
     assert distances[2] < 1e-6

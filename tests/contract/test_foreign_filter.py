@@ -48,11 +48,11 @@ class InformationFilter:
     ) -> UpdateReport:
         p = self.params
         seen = p.kernel_row(measurement, sensor_enu_m)
-        place, z, sigma = [seen[columns] for columns in argument_columns(p.model)]
-        y = z - predicted(state.mean, place, p.model)
+        position, z, sigma = [seen[columns] for columns in argument_columns(p.model)]
+        y = z - predicted(state.mean, position, p.model)
         y[1] = math.remainder(y[1], math.tau)
-        H = jacobian(state.mean, place, p.model)
-        R = variances(state.covariance, state.mean, place, sigma, p.model)
+        H = jacobian(state.mean, position, p.model)
+        R = variances(state.covariance, state.mean, position, sigma, p.model)
         information, pull, nis = np.linalg.inv(state.covariance), np.zeros(len(state.mean)), 0.0
         rows: list[ModalityReport | None] = [None, None, None]
         for row in np.flatnonzero(~np.isnan(y)):
@@ -82,16 +82,16 @@ def test_a_filter_that_has_nothing_but_the_protocol_runs_in_the_tracker(
     tracker, rng = TargetTracker(params), np.random.default_rng(5)
     for step in range(160):
         angle = 0.1 * step
-        place = (TARGET[0] + 25.0 * math.cos(angle), TARGET[1] + 25.0 * math.sin(angle), 20.0)
+        position = (TARGET[0] + 25.0 * math.cos(angle), TARGET[1] + 25.0 * math.sin(angle), 20.0)
         seen = RangingMeasurement(
             emitter_id=1,
             measured_at_s=0.2 * step,
-            range_m=math.dist(place, (*TARGET, 0.0)) + float(rng.normal(0.0, 1.5)),
+            range_m=math.dist(position, (*TARGET, 0.0)) + float(rng.normal(0.0, 1.5)),
             bearing_enu_rad=math.remainder(
                 angle + math.pi + float(rng.normal(0.0, 0.03)), math.tau
             ),
         )
-        assert tracker.fuse(seen, place, 0.2 * step).reject_reason is None
+        assert tracker.fuse(seen, position, 0.2 * step).reject_reason is None
         if step == 100:
             tracker.move((3.0, 0.0, 0.0), 0.0)
             tracker.move((-3.0, 0.0, 0.0), 0.0)

@@ -28,7 +28,7 @@ def mutated(stream: bytes, rng: np.random.Generator) -> bytes:
     """Return a stream with one to a few changes."""
     data = bytearray(stream)
     for _ in range(rng.integers(1, MOST_CHANGES + 1)):
-        at, other = (int(place) for place in rng.integers(0, len(data), 2))
+        at, other = (int(index) for index in rng.integers(0, len(data), 2))
         part = bytes(data[at : at + int(rng.integers(1, 40))])
         change = int(rng.integers(0, 6))
         if change == 0:
@@ -48,8 +48,8 @@ def mutated(stream: bytes, rng: np.random.Generator) -> bytes:
 
 def cut(data: bytes, rng: np.random.Generator) -> list[bytes]:
     """Return the data in up to six pieces."""
-    places = sorted(rng.integers(0, len(data) + 1, 5).tolist())
-    return [data[a:b] for a, b in zip([0, *places], [*places, len(data)], strict=True)]
+    cuts = sorted(rng.integers(0, len(data) + 1, 5).tolist())
+    return [data[a:b] for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True)]
 
 
 def right_sums(data: bytes) -> list[bytes]:

@@ -88,7 +88,7 @@ PLANNERS = CROSSING | SEARCHING | BOTH
 
 ROUNDING_M = 1e-9
 
-places = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
+positions = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
 
 
 @pytest.fixture(params=PLANNERS)
@@ -122,7 +122,7 @@ def an_estimate(
 
 estimates = st.builds(
     an_estimate,
-    places,
+    positions,
     st.floats(0.0, 100.0),
     st.floats(-0.99, 0.99),
     st.sampled_from(EstimateState),
@@ -184,7 +184,7 @@ def grounds(draw: st.DrawFn) -> Ground:
 
 
 flights = st.lists(
-    st.tuples(places, st.none() | estimates, st.floats(0.0, 20.0)), min_size=1, max_size=6
+    st.tuples(positions, st.none() | estimates, st.floats(0.0, 20.0)), min_size=1, max_size=6
 )
 
 
@@ -402,9 +402,9 @@ def test_behind_walls_on_all_sides_it_stays_and_says_why(planner: Planner[Any]) 
         (0.0, 0.0), an_estimate((40.0, 0.0), sigma_m=0.1), tight, 0.5, keep_out_enu_m=walls
     )
     plan = planner.plan(request, None)
-    place, memory = plan.waypoint.position_enu_m, plan.memory
+    position, memory = plan.waypoint.position_enu_m, plan.memory
     for _ in range(20):
-        assert max(map(abs, place)) <= 15.5
-        plan = planner.plan(replace(request, vehicle_enu_m=place), memory)
-        place, memory = plan.waypoint.position_enu_m, plan.memory
+        assert max(map(abs, position)) <= 15.5
+        plan = planner.plan(replace(request, vehicle_enu_m=position), memory)
+        position, memory = plan.waypoint.position_enu_m, plan.memory
         assert plan.waypoint.detail

@@ -57,24 +57,24 @@ def until(is_so: Callable[[], bool], process: Process) -> None:
 @contextmanager
 def dask_cluster(folder: Path, workers: int, **environment: str) -> Iterator[DaskCluster]:
     """A scheduler and so many workers of one thread."""
-    place = folder / "scheduler.json"
+    path = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
-    where = ["--scheduler-file", str(place)]
+    where = ["--scheduler-file", str(path)]
     serve = [*dask, "scheduler", *where, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
     work = [*dask, "worker", *where, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
     with ExitStack() as stack:
         scheduler = stack.enter_context(started(serve))
-        until(lambda: _address(place) is not None, scheduler)
+        until(lambda: _address(path) is not None, scheduler)
         workers_started = [
             stack.enter_context(started(work, **environment)) for _ in range(workers)
         ]
-        yield DaskCluster(f"dask://{_address(place)}", workers_started)
+        yield DaskCluster(f"dask://{_address(path)}", workers_started)
 
 
-def _address(place: Path) -> str | None:
+def _address(path: Path) -> str | None:
     """Where a scheduler serves, once its file is there and whole."""
     try:
-        address: str = json.loads(place.read_text())["address"]
+        address: str = json.loads(path.read_text())["address"]
     except (OSError, json.JSONDecodeError):
         return None
     return address.removeprefix("tcp://")

@@ -102,8 +102,8 @@ class Orbit:
             to_east + self.params.radius_m * math.cos(at_rad),
             to_north + self.params.radius_m * math.sin(at_rad),
         )
-        place = kept_inside(wanted, request.estimate.position_enu_m, request)
-        waypoint = Waypoint(place, WaypointReason.INFORMATION, "around the estimate")
+        position = kept_inside(wanted, request.estimate.position_enu_m, request)
+        waypoint = Waypoint(position, WaypointReason.INFORMATION, "around the estimate")
         return Plan(route_to(request, waypoint), memory)
 ''',
         ),
@@ -185,10 +185,11 @@ from companion.planning.planner import PlanRequest
 def test_it_ends_on_the_circle() -> None:
     unit = ((1.0, 0.0), (0.0, 1.0))
     seen = TargetEstimate(0.0, EstimateState.SEARCHING, (40.0, 0.0), unit, 2.0, 0.0, 0.0, 1)
-    place = (0.0, 0.0)
+    position = (0.0, 0.0)
     for _ in range(5):
-        place = Orbit(OrbitParams()).plan(PlanRequest(place, seen), None).waypoint.position_enu_m
-    assert abs(math.dist(place, (40.0, 0.0)) - 15.0) < 1e-9
+        plan = Orbit(OrbitParams()).plan(PlanRequest(position, seen), None)
+        position = plan.waypoint.position_enu_m
+    assert abs(math.dist(position, (40.0, 0.0)) - 15.0) < 1e-9
 """,
         ),
     ),

@@ -33,8 +33,10 @@ from tools.campaign.process_trials import ProcessFlight, story_of
 
 FLIGHT_S = 120.0
 """Of half that a search has found its target."""
-PLACES_ENU_M = ((50, 50), (80, 20), (20, 80), (80, 80), (60, 15), (15, 60), (90, 50), (50, 90))
-EMITTERS = tuple(EmitterParams(number, place) for number, place in enumerate(PLACES_ENU_M, start=1))
+POSITIONS_ENU_M = ((50, 50), (80, 20), (20, 80), (80, 80), (60, 15), (15, 60), (90, 50), (50, 90))
+EMITTERS = tuple(
+    EmitterParams(number, position) for number, position in enumerate(POSITIONS_ENU_M, start=1)
+)
 RADIO_HZ, FLOOD_HZ = 1_000.0, 20_000.0
 PROGRAMS_PER_CORE = 2
 MOST_BEYOND_QUIET_S = 0.10
@@ -88,7 +90,7 @@ class _Radio:
         self._radio = FieldRadio(FieldChannelParams(), rng, None, PayloadParams().antenna)
         self._emitters = [Emitter(params) for params in EMITTERS]
         self._codec = MavCodec(1, RADIO_COMPONENT)
-        self._place: PositionEnu = (0.0, 0.0, 0.0)
+        self._position: PositionEnu = (0.0, 0.0, 0.0)
 
     def frame(self, number: int) -> bytes:
         """Return a measurement from where the vehicle reported to be last."""
@@ -96,8 +98,10 @@ class _Radio:
             while True:
                 for message in self._codec.decode(self._telemetry.recv(4096)):
                     if isinstance(message, mavlink.MAVLink_local_position_ned_message):
-                        self._place = (message.y, message.x, -message.z)
-        measured = self._radio.hear(self._emitters[number % len(self._emitters)], self._place, 0.0)
+                        self._position = (message.y, message.x, -message.z)
+        measured = self._radio.hear(
+            self._emitters[number % len(self._emitters)], self._position, 0.0
+        )
         return b"" if measured is None else self._codec.encode(message_from_ranging(measured, 0))
 
 
@@ -117,8 +121,8 @@ def _forger(_telemetry: socket.socket, seed: int) -> MakeFrame:
             beat = mavlink.MAVLink_heartbeat_message(*kind, 0, 0, mavlink.MAV_STATE_EMERGENCY, 3)
             frames.append(codec.encode(beat))
         else:
-            place = mavlink.MAVLink_local_position_ned_message(number, *rng.normal(0.0, 90.0, 6))
-            frames.append(codec.encode(place))
+            position = mavlink.MAVLink_local_position_ned_message(number, *rng.normal(0.0, 90.0, 6))
+            frames.append(codec.encode(position))
     return lambda number: frames[number % FORGED]
 
 

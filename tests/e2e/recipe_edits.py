@@ -20,13 +20,13 @@ class Edit:
     """Whether the text replaces the match."""
 
     def apply(self, root: Path) -> None:
-        """Change the file below `root`; AssertionError: the place is not there."""
+        """Change the file below `root`; AssertionError: the lines are not there."""
         path = root / self.path
         before = path.read_text(encoding="utf-8") if path.exists() else ""
         begin = end = len(before)
         if self.behind:
             found = re.search(self.behind, before, re.MULTILINE)
-            assert found, f"{self.path}: no place like {self.behind}"
+            assert found, f"{self.path}: no lines like {self.behind}"
             begin, end = found.start() if self.is_instead else found.end(), found.end()
         path.write_text(before[:begin] + self.text + before[end:], encoding="utf-8", newline="")
 

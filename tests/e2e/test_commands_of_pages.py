@@ -44,11 +44,11 @@ def folder(tmp_path: Path) -> Path:
 def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """The program of this checkout, not compiled, and nothing of this user's."""
     program, *rest = shlex.split(command)
-    places = {f"XDG_{name}_HOME": str(folder / name) for name in ("STATE", "CONFIG", "CACHE")}
+    folders = {f"XDG_{name}_HOME": str(folder / name) for name in ("STATE", "CONFIG", "CACHE")}
     return subprocess.run(
         [sys.executable, "-m", MODULES[program], *rest],
         cwd=folder,
-        env={**os.environ, **places, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
+        env={**os.environ, **folders, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

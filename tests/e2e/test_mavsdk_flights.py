@@ -30,8 +30,11 @@ RATE_HZ = 10.0
 
 
 def is_near(state: Any, north_m: float, east_m: float, down_m: float) -> bool:
-    place = state.position
-    return math.dist((place.north_m, place.east_m, place.down_m), (north_m, east_m, down_m)) < 0.8
+    position = state.position
+    return (
+        math.dist((position.north_m, position.east_m, position.down_m), (north_m, east_m, down_m))
+        < 0.8
+    )
 
 
 async def read_and_set_parameters(client: Client) -> None:
@@ -93,16 +96,16 @@ async def go_to_and_return(client: Client) -> None:
     await client.action.goto_location(lat, lon, 500.0, 90.0)
     await until(
         client.telemetry.subscribe_position(),
-        lambda place: (
-            abs(place.latitude_deg - lat) < 6e-6
-            and abs(place.longitude_deg - lon) < 8e-6
-            and abs(place.absolute_altitude_m - 500.0) < 0.6
+        lambda position: (
+            abs(position.latitude_deg - lat) < 6e-6
+            and abs(position.longitude_deg - lon) < 8e-6
+            and abs(position.absolute_altitude_m - 500.0) < 0.6
         ),
     )
     await client.action.return_to_launch()
     await client.await_ground()
-    place = await until(client.telemetry.subscribe_position(), lambda _: True)
-    assert place.latitude_deg == pytest.approx(HOME[0], abs=1e-5)
+    position = await until(client.telemetry.subscribe_position(), lambda _: True)
+    assert position.latitude_deg == pytest.approx(HOME[0], abs=1e-5)
 
 
 @pytest.mark.slow
@@ -140,8 +143,8 @@ def test_mavsdk_flies_offboard_by_position_and_velocity(flavour: str) -> None:
 
 
 def plan() -> MissionPlan:
-    """Three places; at the second it waits, turns gimbal and nose, and takes a photo."""
-    places = ((0.0001, 0.0, 8.0), (0.0001, 0.0001, 10.0), (0.0, 0.0001, 8.0))
+    """Three waypoints; at the second it waits, turns gimbal and nose, and takes a photo."""
+    positions = ((0.0001, 0.0, 8.0), (0.0001, 0.0001, 10.0), (0.0, 0.0001, 8.0))
     items = [
         MissionItem(
             latitude_deg=HOME[0] + north,
@@ -151,7 +154,7 @@ def plan() -> MissionPlan:
             is_fly_through=True,
             acceptance_radius_m=1.0,
         )
-        for north, east, height_m in places
+        for north, east, height_m in positions
     ]
     items[1].is_fly_through = False
     items[1].loiter_time_s = 2.0
@@ -192,7 +195,7 @@ def test_mavsdk_uploads_flies_and_downloads_a_mission_of_a_px4() -> None:
 
 def raw_plan() -> list[RawItem]:
     """ArduPilot's: item 0 is home, which MAVSDK's own mission format cannot tell."""
-    places = ((0, 0.0, 0.0, 0.0), (3, 0.0001, 0.0, 8.0), (3, 0.0001, 0.0001, 10.0))
+    positions = ((0, 0.0, 0.0, 0.0), (3, 0.0001, 0.0, 8.0), (3, 0.0001, 0.0001, 10.0))
     return [
         RawItem(
             seq=number,
@@ -209,7 +212,7 @@ def raw_plan() -> list[RawItem]:
             z=height_m,
             mission_type=0,
         )
-        for number, (frame, north, east, height_m) in enumerate(places)
+        for number, (frame, north, east, height_m) in enumerate(positions)
     ]
 
 

@@ -122,7 +122,7 @@ def nobody_is_left() -> Iterator[None]:
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Path:
+def folder(tmp_path: Path) -> Path:
     (tmp_path / "auto.yaml").write_text("mission: {engage: auto}\n")
     return tmp_path
 
@@ -140,9 +140,9 @@ def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
         time.sleep(0.02)
 
 
-def has_kept_a_belief(place: Path) -> bool:
+def has_kept_a_belief(folder: Path) -> bool:
     """Whether a checkpoint holds what the next companion shall go on with."""
-    for path in place.glob("state/companion/[!.]*.checkpoint-[01]"):  # whole ones
+    for path in folder.glob("state/companion/[!.]*.checkpoint-[01]"):  # whole ones
         with suppress(OSError, CheckpointError):
             memory = decode_checkpoint(path.read_bytes()).memory
             if memory.belief is not None and memory.phase not in GROUNDED:
@@ -169,14 +169,14 @@ def has_left_offboard(message: Message) -> bool:
 
 
 def test_a_killed_companion_is_taken_up_by_the_next_which_never_engages(
-    place: Path, port: int
+    folder: Path, port: int
 ) -> None:
-    first = Companion(place, port, "--config", "auto.yaml")
+    first = Companion(folder, port, "--config", "auto.yaml")
     first.wait_for("flying the plan")
-    wait_until(lambda: has_kept_a_belief(place), "no belief was kept")
+    wait_until(lambda: has_kept_a_belief(folder), "no belief was kept")
     first.end(signal.SIGKILL)
     await_failsafe(port)
-    second = Companion(place, port, "--config", "auto.yaml")
+    second = Companion(folder, port, "--config", "auto.yaml")
     second.wait_for("resumed after")
     assert second.processor_s() <= RESTART_S
     second.wait_for("estimate resumed")
@@ -185,18 +185,18 @@ def test_a_killed_companion_is_taken_up_by_the_next_which_never_engages(
     assert second.process.returncode == 0
     assert not second.said("in control")
     assert not second.said("  launching")
-    requests = [event for event in second.events(place) if event["kind"] == "answer"]
+    requests = [event for event in second.events(folder) if event["kind"] == "answer"]
     assert requests == []
-    fresh = Companion(place, port, "--fresh")
+    fresh = Companion(folder, port, "--fresh")
     fresh.wait_for("autopilot heard")
     fresh.end(signal.SIGTERM)
     assert not fresh.said("resumed")
 
 
-def test_a_second_companion_on_a_link_ends_with_one_line(place: Path, port: int) -> None:
-    first = Companion(place, port)
+def test_a_second_companion_on_a_link_ends_with_one_line(folder: Path, port: int) -> None:
+    first = Companion(folder, port)
     first.wait_for("waiting for an autopilot")
-    second = Companion(place, port)
+    second = Companion(folder, port)
     assert second.process.wait(PATIENCE_S) == 2
     second.close()
     assert second.lines == [
@@ -207,17 +207,19 @@ def test_a_second_companion_on_a_link_ends_with_one_line(place: Path, port: int)
     assert first.process.returncode == 0
 
 
-def test_a_disk_that_takes_no_more_costs_the_log_and_not_the_flight(place: Path, port: int) -> None:
-    companion = Companion(place, port, max_file_bytes=20_000)
+def test_a_disk_that_takes_no_more_costs_the_log_and_not_the_flight(
+    folder: Path, port: int
+) -> None:
+    companion = Companion(folder, port, max_file_bytes=20_000)
     companion.wait_for("log entries lost")
     companion.wait_for("ready: switch to")
     assert companion.end(signal.SIGTERM) < STOP_S
     assert companion.process.returncode == 0
-    assert all(path.stat().st_size <= 20_000 for path in place.glob("flights/*/*"))
+    assert all(path.stat().st_size <= 20_000 for path in folder.glob("flights/*/*"))
 
 
 def test_the_service_manager_hears_that_it_is_ready_alive_and_stopping(
-    place: Path, port: int
+    folder: Path, port: int
 ) -> None:
     name = f"companion-e2e-{os.getpid()}"
     heard: list[str] = []
@@ -225,7 +227,7 @@ def test_the_service_manager_hears_that_it_is_ready_alive_and_stopping(
         manager.bind(f"\0{name}")
         manager.settimeout(PATIENCE_S)
         environment = {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": "2000000"}
-        companion = Companion(place, port, environment=environment)
+        companion = Companion(folder, port, environment=environment)
         while heard.count("WATCHDOG=1") < 6 or "STATUS=standby" not in heard:
             heard.append(manager.recv(4096).decode())
         companion.process.send_signal(signal.SIGTERM)
@@ -236,7 +238,7 @@ def test_the_service_manager_hears_that_it_is_ready_alive_and_stopping(
     assert heard[0] == "READY=1"
 
 
-def test_a_terminal_that_nobody_reads_holds_up_nothing(place: Path, port: int) -> None:
+def test_a_terminal_that_nobody_reads_holds_up_nothing(folder: Path, port: int) -> None:
     url = f"udp:127.0.0.1:{port}"
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
@@ -247,12 +249,12 @@ def test_a_terminal_that_nobody_reads_holds_up_nothing(place: Path, port: int) -
         os.set_blocking(writer, True)
     with subprocess.Popen(
         [*COMMAND, "--connect", url],
-        cwd=place,
+        cwd=folder,
         stderr=writer,
-        env={**os.environ, "XDG_STATE_HOME": str(place / "state")},
+        env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
     ) as process:
         wait_until(
-            lambda: any(place.glob("state/companion/*.checkpoint-0")), "no checkpoint was kept"
+            lambda: any(folder.glob("state/companion/*.checkpoint-0")), "no checkpoint was kept"
         )
         assert process.poll() is None
         began_s = time.monotonic()

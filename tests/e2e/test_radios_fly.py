@@ -29,7 +29,7 @@ import yaml
 
 from companion.domain import Params
 from tests.ports import free_port
-from tests.radio_flights import as_flown, place_name, place_of, sigmas
+from tests.radio_flights import as_flown, setup_name, setup_of, sigmas
 from tests.radio_formats import ALL, CELLS, FORMAT_OF, Format
 
 pytestmark = pytest.mark.slow
@@ -113,7 +113,7 @@ class Rig:
         self.started: list[Process] = []
         is_by_bearings = format_.range_m is None and format_.azimuth_deg is not None
         self.speed = SPEED_OF_BEARINGS if is_by_bearings else SPEED
-        self.place = place_of(place_name(format_))
+        self.setup = setup_of(setup_name(format_))
         self.port, self.follow_port = free_port(), free_port()
         self.radio_words = (
             *("sim-link", "radio", "--follow", f"tcp:127.0.0.1:{self.follow_port}"),
@@ -123,7 +123,7 @@ class Rig:
         self._write()
 
     def _write(self) -> None:
-        scenario, config = self.place.scenario, self.place.config
+        scenario, config = self.setup.scenario, self.setup.config
         autopilot = msgspec.structs.replace(
             scenario.autopilot, offboard_loss_timeout_s=60.0, parameters={"COM_DISARM_PRFLT": 60}
         )
@@ -246,7 +246,7 @@ def test_the_emitter_is_found_by_the_radios_own_bytes(
     companion = rig.companion("--once")
     rig.vehicle()
     companion.wait_to_end()
-    result, scenario = rig.result(), rig.place.scenario
+    result, scenario = rig.result(), rig.setup.scenario
     assert result["emitter_id"] == scenario.emitter.emitter_id
     east, north = scenario.emitter.position_enu_m
     error_m = math.hypot(result["east_m"] - east, result["north_m"] - north)
@@ -317,7 +317,7 @@ def unplug_in_flight(
     assert companion.count("silent for") == silences + 1
     assert companion.count("heard again") == returns + 1
     assert companion.count(": lost (") == losses + 1
-    assert rig.result()["emitter_id"] == rig.place.scenario.emitter.emitter_id
+    assert rig.result()["emitter_id"] == rig.setup.scenario.emitter.emitter_id
 
 
 class Front:

@@ -68,9 +68,9 @@ def named_in(text: str, name: str) -> set[str]:
         path = (code[0] or code[1]).replace("NAME", name)
         if "/" not in path and not re.search(r"\.(py|yaml|bin|jsonl|md)$", path):
             continue
-        places = [path] if "/" in path else [f"{folder}/{path}", f"{Path(folder).parent}/{path}"]
-        there = [each for each in places if (ROOT / each).exists()]
-        path = (there or places)[0]
+        paths = [path] if "/" in path else [f"{folder}/{path}", f"{Path(folder).parent}/{path}"]
+        there = [each for each in paths if (ROOT / each).exists()]
+        path = (there or paths)[0]
         found.add(path)
         if (ROOT / path).is_dir():
             folder = path
@@ -90,9 +90,11 @@ def test_a_recipe_names_the_files_that_are_touched_and_no_others(recipe: Recipe)
         named = named_in(texts[number], recipe.name) - recipe.mentions
         touched = {touched_by(edit) for edit in edits}
         for path in touched:
-            assert any(path == place or path.startswith(f"{place}/") for place in named), path
-        for place in named:
-            assert any(path == place or path.startswith(f"{place}/") for path in touched), place
+            assert any(path == each or path.startswith(f"{each}/") for each in named), path
+        for named_path in named:
+            assert any(
+                path == named_path or path.startswith(f"{named_path}/") for path in touched
+            ), named_path
 
 
 def test_there_is_a_specimen_for_every_recipe() -> None:

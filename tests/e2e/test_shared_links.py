@@ -106,9 +106,9 @@ def test_each_client_gets_its_own_answers_though_their_frames_arrive_in_pieces()
     async def scene(shell: Shell) -> None:
         with ExitStack() as stack:
             clients = [stack.enter_context(await connected(shell)) for _ in range(3)]
-            for place in range(len(frame(0))):
+            for index in range(len(frame(0))):
                 for mark, client in enumerate(clients):
-                    client.send(frame(mark)[place : place + 1])
+                    client.send(frame(mark)[index : index + 1])
                 await asyncio.sleep(0.0)
             for mark, client in enumerate(clients):
                 assert await read(client, len(frame(mark))) == frame(mark)

@@ -141,9 +141,9 @@ def arithmetic() -> str:
 def samples_of(course: Course) -> tuple[tuple[float, float, float, float], ...]:
     rows = []
     for line in course.estimates[::SAMPLE_EVERY]:
-        place = line["position_enu_m"]
-        assert isinstance(place, list | tuple)
-        rows.append((float(str(line["t_s"])), *map(float, place), float(str(line["r95_m"]))))
+        position = line["position_enu_m"]
+        assert isinstance(position, list | tuple)
+        rows.append((float(str(line["t_s"])), *map(float, position), float(str(line["r95_m"]))))
     return tuple((t, e, n, r) for t, e, n, r in rows)
 
 

@@ -113,17 +113,17 @@ class Recorder(Observer):
         if isinstance(message, mavlink.MAVLink_command_long_message):
             self.commands.append((frame.time_s, message.command))
             return
-        place = self._place(message)
-        if place is not None:
+        position = self._position(message)
+        if position is not None:
             at = self._vehicle.body.position_enu_m
-            self.setpoints.append(Sent(frame.time_s, place, at))
+            self.setpoints.append(Sent(frame.time_s, position, at))
 
     def stepped(self, vehicle: SimVehicle, now_s: float) -> None:  # noqa: ARG002
-        """Keep the place."""
+        """Record the vehicle's position."""
         self._vehicle = vehicle
         self.true_positions.append(vehicle.body.position_enu_m)
 
-    def _place(self, message: Message | None) -> PositionEnu | None:
+    def _position(self, message: Message | None) -> PositionEnu | None:
         match message:
             case mavlink.MAVLink_set_position_target_local_ned_message():
                 return enu_from_ned((message.x, message.y, message.z))
@@ -258,7 +258,7 @@ def said(notes: MemoryJournal, part: str) -> bool:
 
 
 def reboot(flight: Flight) -> None:
-    """Another vehicle in its place: at home, on the ground, its clock at zero."""
+    """Put a fresh vehicle in its place: at home, on the ground, its clock at zero."""
     flight.sim = SimEndpoint(flight.scenario, flight.seed, flight.now_s)
     flight.observers.notify("vehicle_rebooted", flight.now_s)
 
@@ -415,10 +415,10 @@ class Loop:
         return [sent for sent in self.setpoints if sent.time_s > time_s]
 
 
-def outside(places: list[PositionEnu], east_north_max_m: float) -> list[PositionEnu]:
-    """The places outside the square fence of this half-width."""
-    return [p for p in places if max(abs(p[0]), abs(p[1])) > east_north_max_m]
+def outside(positions: list[PositionEnu], east_north_max_m: float) -> list[PositionEnu]:
+    """Return the positions outside the square fence of this half-width."""
+    return [p for p in positions if max(abs(p[0]), abs(p[1])) > east_north_max_m]
 
 
-def horizontal(place: PositionEnu) -> Point:
-    return place[:2]
+def horizontal(position: PositionEnu) -> Point:
+    return position[:2]

@@ -31,7 +31,7 @@ from tests.loop.emulated_radio import (
     to_five_degrees,
 )
 from tests.loop.loop_helpers import Loop
-from tests.radio_flights import as_flown, place_name, place_of, sigmas
+from tests.radio_flights import as_flown, setup_name, setup_of, sigmas
 from tests.radio_formats import ALL, CELLS, FORMAT_OF, LTE_STEP_M, NR_STEP_M, Format
 
 pytestmark = pytest.mark.slow
@@ -88,10 +88,10 @@ class Outcome:
     expected_r95_m: float
 
 
-def flown(place: str, format_: Format, seed: int = SEED) -> Outcome:
+def flown(name: str, format_: Format, seed: int = SEED) -> Outcome:
     """Return the outcome of a flight by the radio's bytes."""
-    scenario = place_of(place).scenario
-    config = knowing(place_of(place).config, scenario)
+    scenario = setup_of(name).scenario
+    config = knowing(setup_of(name).config, scenario)
 
     def make(
         config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
@@ -127,14 +127,14 @@ def flown(place: str, format_: Format, seed: int = SEED) -> Outcome:
     "format_", [as_flown(each) for each in ALL], ids=lambda each: str(each.name)
 )
 def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
-    place = place_name(format_)
-    found = flown(place, format_)
+    setup = setup_name(format_)
+    found = flown(setup, format_)
     if format_.name in CELLS:
         assert found.error_m <= found.r95_m
     if FIGURES is not None:
         with open(FIGURES, "a", encoding="utf-8") as stream:
             figures = " ".join(f"{value:.3f}" for value in astuple(found))
-            stream.write(f"{format_.name} {place} {figures}\n")
+            stream.write(f"{format_.name} {setup} {figures}\n")
     assert found.r95_m == pytest.approx(found.expected_r95_m, rel=SHARE)
     expected_m = pytest.approx(found.expected_error_m, abs=SHARE * found.expected_r95_m)
     assert found.error_m == expected_m
@@ -148,10 +148,10 @@ def test_a_cell_whose_ranges_come_in_steps_promises_no_more_than_it_keeps(name: 
     found = []
     for seed in CELL_SEEDS:
         try:
-            found.append(flown(place_name(format_), format_, seed))
+            found.append(flown(setup_name(format_), format_, seed))
         except AssertionError as error:
             if "did not hold within" not in str(error):
                 raise  # what is missing at the limit is counted below
-    most_m = place_of(place_name(format_)).config.estimation.localised_r95_m
+    most_m = setup_of(setup_name(format_)).config.estimation.localised_r95_m
     assert len(found) >= len(CELL_SEEDS) - 1
     assert all(each.error_m <= each.r95_m <= most_m for each in found), found

@@ -33,7 +33,7 @@ def flown(flavour: FlavourName, parameters: dict[str, float], *incidents: Incide
 def reach_from_home_m(loop: Loop) -> float:
     """How far the vehicle was from where it began, horizontally."""
     home = loop.true_positions[0][:2]
-    return max(math.dist(home, place[:2]) for place in loop.true_positions)
+    return max(math.dist(home, position[:2]) for position in loop.true_positions)
 
 
 @pytest.mark.parametrize("flavour", list(CIRCLES))

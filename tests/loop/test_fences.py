@@ -35,7 +35,7 @@ def scenario(flavour: Flavour = "px4") -> Scenario:
     return Scenario(emitter=AT_THE_BORDER, autopilot=AutopilotParams(flavour=flavour))
 
 
-def places(loop: Loop, corners: tuple[Point, ...]) -> list[tuple[float, float]]:
+def geodetic_deg(loop: Loop, corners: tuple[Point, ...]) -> list[tuple[float, float]]:
     origin = loop.sim.vehicle.origin
     return [origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners]
 
@@ -43,9 +43,9 @@ def places(loop: Loop, corners: tuple[Point, ...]) -> list[tuple[float, float]]:
 def upload(loop: Loop, *areas: tuple[int, tuple[Point, ...]]) -> None:
     """A ground station gives the autopilot a fence."""
     items = [
-        (command, float(len(corners)), place)
+        (command, float(len(corners)), position)
         for command, corners in areas
-        for place in places(loop, corners)
+        for position in geodetic_deg(loop, corners)
     ]
     loop.tell_vehicle(mavlink.MAVLink_mission_count_message(1, 1, len(items), FENCE))
     for seq, (command, vertices, (lat, lon)) in enumerate(items):
@@ -65,7 +65,7 @@ def plan_file(folder: Path) -> Path:
     origin = OriginParams()
     frame = Loop(scenario=Scenario(origin=origin))
     polygons = [
-        {"inclusion": inclusion, "polygon": places(frame, corners), "version": 1}
+        {"inclusion": inclusion, "polygon": geodetic_deg(frame, corners), "version": 1}
         for inclusion, corners in ((True, SITE), (False, HOUSE))
     ]
     fence = {"circles": [], "polygons": polygons, "version": 2}
@@ -78,10 +78,10 @@ def assert_kept(loop: Loop, *keep_outs: tuple[Point, ...]) -> None:
     """Setpoints keep a margin of 3 m, the vehicle stays inside, and was near the border."""
     for sent in loop.setpoints:
         assert depth_m(SITE, sent.position_enu_m[:2]) >= 3.0 - 1e-3
-    for place in loop.true_positions:
-        assert depth_m(SITE, place[:2]) > 0.0
-        assert all(depth_m(keep_out, place[:2]) < 0.0 for keep_out in keep_outs)
-    assert max(place[0] for place in loop.true_positions) > 50.0
+    for position in loop.true_positions:
+        assert depth_m(SITE, position[:2]) > 0.0
+        assert all(depth_m(keep_out, position[:2]) < 0.0 for keep_out in keep_outs)
+    assert max(position[0] for position in loop.true_positions) > 50.0
 
 
 @pytest.mark.slow
@@ -169,8 +169,8 @@ def test_a_fence_in_local_metres_stays_where_it_was_when_the_origin_moves() -> N
     loop.sim.vehicle.aircraft.shift_origin((12.0, 9.0, 0.0))
     loop.run(35.0)
     assert loop.said("local origin moved 15 m: fence kept in place")
-    assert all(depth_m(SITE, place[:2]) > 0.0 for place in loop.true_positions)
-    assert max(place[0] for place in loop.true_positions) > 50.0
+    assert all(depth_m(SITE, position[:2]) > 0.0 for position in loop.true_positions)
+    assert max(position[0] for position in loop.true_positions) > 50.0
 
 
 @pytest.mark.slow

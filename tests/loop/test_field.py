@@ -31,7 +31,7 @@ NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
 
 
 def test_what_is_found_is_off_by_the_vehicles_own_error() -> None:
-    """A constant error of the place is in the result to the full, and no radio shows it."""
+    """A constant error of the position is in the result to the full, and no radio shows it."""
     wrong = NavigationParams(sigma_m=8.0, time_constant_s=1e6)
     scenario = Scenario(
         emitter=NEAR, channel=CLEAR, navigation=wrong, payload=PayloadParams(rate_hz=10.0)
@@ -52,7 +52,7 @@ def test_the_search_goes_on_safely_whatever_the_radio_says(path: Path) -> None:
     loop.run(90.0)
     assert loop.sim.vehicle.is_armed
     assert loop.phase in (Phase.NORMAL, Phase.DEGRADED, Phase.HOLD, Phase.FINISHED)
-    heights = [place[2] for place in loop.true_positions[-500:]]
+    heights = [position[2] for position in loop.true_positions[-500:]]
     assert min(heights) > 3.0
 
 

@@ -64,8 +64,8 @@ class WatchedFlight:
 
     def reposition(self, component: int, flags: float = 0.0) -> None:
         """The station sends the vehicle 30 m from where it is."""
-        place = self.sim.vehicle.body.position_enu_m
-        away = (place[0] + 30.0, place[1], place[2])
+        position = self.sim.vehicle.body.position_enu_m
+        away = (position[0] + 30.0, position[1], position[2])
         latitude, longitude, altitude_m = self.sim.vehicle.origin.geodetic_from_enu(away)
         self.say(
             mavlink.MAVLink_command_int_message(

@@ -74,7 +74,7 @@ def test_a_vehicle_that_errs_about_its_height_still_takes_off_as_its_operator_se
     wrong = "navigation: {sigma_m: 3.0, height_sigma_m: 20.0, time_constant_s: 1000.0}\n"
     result = fly_in_memory(parse_mission(SHORT + wrong, "short"), 1)
     assert result.failed == []
-    truth = [place[2] for _, place in result.record.track]
+    truth = [position[2] for _, position in result.record.track]
     assert max(truth) == pytest.approx(6.0, abs=3.0)
 
 

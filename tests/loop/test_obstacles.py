@@ -33,7 +33,7 @@ class Flight:
     r95_m: float
     restarts: int
     hidden_share: float
-    """Of the places that it flew through."""
+    """Figures over the positions that it flew through."""
     depth_m: float
     """How far into the block it flew; negative: it did not."""
 
@@ -47,7 +47,7 @@ def fly(seed: int) -> Flight:
     loop.run(AFTER_S)
     assert scenario.environment is not None
     edges, target = scenario.environment.edges, (*scenario.emitter.position_enu_m, 0.0)
-    flown = [place for place in loop.true_positions if place[2] > 3.0][::25]
+    flown = [position for position in loop.true_positions if position[2] > 3.0][::25]
     return Flight(
         seed,
         loop.phase,
@@ -55,8 +55,8 @@ def fly(seed: int) -> Flight:
         loop.error_m,
         max((result.estimate.r95_m for _, result in loop.notes.results), default=0.0),
         sum("diverged" in text for _, text in loop.notes.texts),
-        statistics.mean(is_blocked_in_space(*target, *place, edges) for place in flown),
-        max(depth_m(block, place[:2]) for place in loop.true_positions),
+        statistics.mean(is_blocked_in_space(*target, *position, edges) for position in flown),
+        max(depth_m(block, position[:2]) for position in loop.true_positions),
     )
 
 

@@ -270,7 +270,7 @@ REFUSED: dict[VehicleTypeName, str] = {
 MORE_ROTORS = ("octorotor", "tricopter", "dodecarotor", "decarotor")
 
 
-def place(sky: Sky) -> PositionEnu:
+def position(sky: Sky) -> PositionEnu:
     return sky.sim.vehicle.body.position_enu_m
 
 
@@ -375,7 +375,7 @@ def test_what_is_no_autopilot_is_never_bound(
 
 
 def twin_at_another_address(sky: Sky) -> OtherVehicle:
-    """The same ids, boot clock and place as ours: only the hardware id tells them apart."""
+    """The same ids, boot clock and position as ours: only the hardware id tells them apart."""
     east_m, north_m, up_m = sky.true_positions[-1]
     return OtherVehicle(
         system_id=1, uptime_s=sky.now_s, east_m=east_m + 2.0, north_m=north_m, up_m=up_m

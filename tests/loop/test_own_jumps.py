@@ -55,8 +55,8 @@ def target_seen_m(loop: Loop, shift_enu_m: PositionEnu = (0.0, 0.0, 0.0)) -> flo
     estimate = loop.companion.session.estimate
     assert estimate is not None
     east, north = loop.flight.scenario.emitter.position_enu_m
-    place = (east + shift_enu_m[0], north + shift_enu_m[1])
-    return math.dist(estimate.position_enu_m, place)
+    position = (east + shift_enu_m[0], north + shift_enu_m[1])
+    return math.dist(estimate.position_enu_m, position)
 
 
 @pytest.mark.slow
@@ -68,13 +68,15 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
     before_m = target_seen_m(loop)
     loop.sim.vehicle.estimator.jump(shift_enu_m, 0.0)
     jumped_s = loop.now_s
-    place = loop.true_positions[-1]
+    position = loop.true_positions[-1]
     loop.run(0.3)
     assert loop.phase is Phase.HOLD
     assert target_seen_m(loop, shift_enu_m) <= before_m + 0.3
     loop.run(1.4)
     assert loop.phase is Phase.HOLD
-    assert math.dist(loop.true_positions[-1], place) <= BRAKING_M  # it stops, it flies to nowhere
+    assert (
+        math.dist(loop.true_positions[-1], position) <= BRAKING_M
+    )  # it stops, it flies to nowhere
     assert loop.companion.session.tracker.rejected[RejectReason.OWN_JUMP] >= 10
     assert loop.said("vehicle position jumped by")
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
@@ -108,8 +110,8 @@ def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
     assert loop.now_s - jumped_s >= 2.0
     assert loop.said("handing back: vehicle position jumped by")
     loop.run(10.0)
-    place = loop.true_positions[before]
-    assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
+    position = loop.true_positions[before]
+    assert all(math.dist(true, position) <= BRAKING_M for true in loop.true_positions[before:])
 
 
 @pytest.mark.slow
@@ -119,8 +121,8 @@ def test_a_position_that_jumps_out_and_back_is_flown_on_by() -> None:
     for east_m in (50.0, -50.0):
         loop.sim.vehicle.estimator.jump((east_m, 0.0, 0.0), 0.0)
         loop.run(1.0)
-    place = loop.true_positions[before]
-    assert all(math.dist(true, place) <= BRAKING_M for true in loop.true_positions[before:])
+    position = loop.true_positions[before]
+    assert all(math.dist(true, position) <= BRAKING_M for true in loop.true_positions[before:])
     loop.run_until(lambda: loop.phase in FLYING, 4.0)
 
 

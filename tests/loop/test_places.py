@@ -1,4 +1,4 @@
-"""A place that is reported is where the autopilot's own map has it, whatever its projection."""
+"""A reported position is where the autopilot's own map has it, whatever its projection."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def searched(flavour: FlavourName) -> Loop:
 
 
 def off_m(loop: Loop) -> float:
-    """How far what the companion calls a place a kilometre away is from what the autopilot does."""
+    """Return how far apart, m, companion and autopilot have a position a kilometre away."""
     origin, true = loop.companion.session.vehicle.origin, loop.sim.vehicle.origin
     assert origin is not None
     return math.dist(origin.enu_from_geodetic(*true.geodetic_from_enu(FAR_AWAY)), FAR_AWAY)
@@ -38,8 +38,8 @@ def check_report(loop: Loop) -> None:
     true, (east_m, north_m) = loop.sim.vehicle.origin, result.estimate.position_enu_m
     assert result.latitude_deg is not None
     assert result.longitude_deg is not None
-    place = true.enu_from_geodetic(result.latitude_deg, result.longitude_deg, true.altitude_m)
-    assert math.dist(place[:2], (east_m, north_m)) <= NEAR_M
+    position = true.enu_from_geodetic(result.latitude_deg, result.longitude_deg, true.altitude_m)
+    assert math.dist(position[:2], (east_m, north_m)) <= NEAR_M
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])

@@ -15,7 +15,7 @@ from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.emulators.catalogue import make_emulator
 from tests.loop.emulated_radio import EmulatedRadio
 from tests.loop.loop_helpers import Loop
-from tests.radio_flights import as_flown, place_name, place_of, sigmas
+from tests.radio_flights import as_flown, setup_name, setup_of, sigmas
 from tests.radio_formats import FORMAT_OF
 
 SEED = 1
@@ -39,17 +39,17 @@ class Unplugged(EmulatedRadio):
 @pytest.mark.parametrize("name", ["kraken", pytest.param("iw_ftm", marks=pytest.mark.slow)])
 def test_it_is_held_for_while_it_is_gone_and_flown_on_by_itself(name: str) -> None:
     format_ = as_flown(FORMAT_OF[name])
-    place = place_of(place_name(format_))
-    scenario = place.scenario
-    setup = format_.setup(scenario.emitter.emitter_id, **sigmas(format_, scenario))
+    setup = setup_of(setup_name(format_))
+    scenario = setup.scenario
+    link = format_.setup(scenario.emitter.emitter_id, **sigmas(format_, scenario))
 
     def make(
         config: CompanionConfig, journal: Journal, links: Sequence[LinkSpec]
     ) -> CompanionEndpoint:
-        return build_endpoint(config, journal, (*links[:-1], LinkSpec(LinkRole.RANGING, setup)))
+        return build_endpoint(config, journal, (*links[:-1], LinkSpec(LinkRole.RANGING, link)))
 
     radio = Unplugged(scenario, SEED, make_emulator(name, SEED))
-    loop = Loop(place.config, scenario, SEED, None, radio, 1.0 / scenario.payload.rate_hz, make)
+    loop = Loop(setup.config, scenario, SEED, None, radio, 1.0 / scenario.payload.rate_hz, make)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     radio.is_gone = True
     loop.run(GONE_S)

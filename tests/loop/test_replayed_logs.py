@@ -77,7 +77,7 @@ def position_stops(message: Message, now_s: float) -> Message | None:
 
 
 def position_flips(message: Message, now_s: float) -> Message | None:
-    """Between two places, 8 m apart, as of two estimators that take turns."""
+    """Alternates between two positions, 8 m apart, as of two estimators that take turns."""
     if isinstance(message, mavlink.MAVLink_local_position_ned_message) and is_second_half(now_s):
         message.x += 8.0
     return message

@@ -47,12 +47,12 @@ def _loop(config: CompanionConfig, reach_m: float = REACH_M) -> Loop:
     return Loop(config, Scenario(emitter=EMITTER, payload=PayloadParams(max_range_m=reach_m)))
 
 
-def _check_places(loop: Loop) -> None:
+def _check_positions(loop: Loop) -> None:
     """No setpoint where none may be; the vehicle cuts corners by less than the margin."""
     # Before control is given, "stay here" is sent from where the vehicle stands.
     assert [s for s in loop.setpoints if not ALLOWED.allows(s.position_enu_m[:2])] == []
-    assert min(-depth_m(HOUSE, place[:2]) for place in loop.true_positions) > 0.0
-    assert min(depth_m(FENCE, place[:2]) for place in loop.true_positions) > 0.0
+    assert min(-depth_m(HOUSE, position[:2]) for position in loop.true_positions) > 0.0
+    assert min(depth_m(FENCE, position[:2]) for position in loop.true_positions) > 0.0
 
 
 def _reasons(loop: Loop) -> list[str]:
@@ -60,8 +60,8 @@ def _reasons(loop: Loop) -> list[str]:
 
 
 def _distance_m(loop: Loop) -> float:
-    place: Point = loop.sim.vehicle.body.position_enu_m[:2]
-    return math.dist(place, EMITTER.position_enu_m)
+    position: Point = loop.sim.vehicle.body.position_enu_m[:2]
+    return math.dist(position, EMITTER.position_enu_m)
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_an_emitter_out_of_reach_is_searched_for_and_found(search: PatternKind) 
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
     assert loop.said("contact: flying to the target")
     assert loop.error_m <= 1.5
-    _check_places(loop)
+    _check_positions(loop)
 
 
 def test_without_a_search_the_same_flight_waits() -> None:
@@ -111,7 +111,7 @@ def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> N
     loop.is_ranging_up = True
     loop.run_until(lambda: bool(loop.notes.results), 250.0)
     assert loop.error_m <= 1.5
-    _check_places(loop)
+    _check_positions(loop)
 
 
 @pytest.mark.slow
@@ -120,7 +120,7 @@ def test_a_pattern_alone_is_flown_over_the_emitter() -> None:
     loop.run(150.0)
     assert set(_reasons(loop)) <= {"search", "detour"}
     assert loop.error_m <= 3.0
-    _check_places(loop)
+    _check_positions(loop)
 
 
 @pytest.mark.slow
@@ -129,7 +129,7 @@ def test_the_information_planner_finds_the_emitter_too() -> None:
     loop.run_until(lambda: bool(loop.notes.results), 240.0)
     assert loop.error_m <= 1.5
     assert "information" in _reasons(loop)
-    _check_places(loop)
+    _check_positions(loop)
 
 
 @pytest.mark.slow
@@ -151,4 +151,4 @@ def test_an_emitter_in_a_keep_out_is_found_from_around_it() -> None:
     loop.run_until(lambda: bool(loop.notes.results), 240.0)
     assert loop.said("estimate is in a keep-out")
     assert loop.error_m <= 2.0
-    _check_places(loop)
+    _check_positions(loop)

@@ -105,7 +105,7 @@ def change(loop: Loop, incident: incidents.StationRecord) -> None:
 
 def farthest_out_m(loop: Loop, border: tuple[Point, ...], since: int) -> float:
     """How far outside of a border the true vehicle was; negative: how far inside it stayed."""
-    return max(-depth_m(border, place[:2]) for place in loop.true_positions[since:])
+    return max(-depth_m(border, position[:2]) for position in loop.true_positions[since:])
 
 
 @pytest.mark.parametrize("shares_line", [False, SLOW(True)], ids=["own line", "our line"])
@@ -317,8 +317,10 @@ def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
 def reach_m(loop: Loop) -> float:
     """How far east the guard lets a setpoint be; 0 without a fence."""
     fence = loop.companion.session.fencing.guard.limits.fence
-    places = [(0.5 * step, 0.0) for step in range(600)]
-    return max((place[0] for place in places if fence and fence.allows(place)), default=0.0)
+    positions = [(0.5 * step, 0.0) for step in range(600)]
+    return max(
+        (position[0] for position in positions if fence and fence.allows(position)), default=0.0
+    )
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

@@ -2,8 +2,8 @@
 
 The flights over MAVLink are the study's: the same draws of the channel, a measurement a second at
 5 m/s, sensor and target at one height. What differs is what a vehicle adds: it takes time to speed
-up and to turn, plans five times a second, finds its place between telemetry, and speaks in single
-precision.
+up and to turn, plans five times a second, finds its position between telemetry, and speaks in
+single precision.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from tools.study.case import (
 from tools.study.reactive_crossing import ReactiveCrossing
 from tools.study.systems import PlannerName, System, belief_of, pilot_of, steering_of
 from tools.study.trials import TrialResult, flown_trial, run_trial
-from tools.study.walk import WalkFilter, first_fix, next_place, updated
+from tools.study.walk import WalkFilter, first_fix, next_position, updated
 
 STEPS = 150
 FEW_STEPS = 60
@@ -65,7 +65,7 @@ SEEDS = range(4)
 WIRE_M = 1e-4
 """What bytes may add to an estimate; nearly all of it is the first view from 0.1 m too low."""
 FLIGHT_M = 0.1
-"""What flying may add to where an estimate ends: the views are from other places."""
+"""Most that flying may add to where an estimate ends: the views are from other positions."""
 HEIGHT_M = 20.0
 CASE = Case(steps=STEPS)
 KINDS: Mapping[PlannerName, CrossingKind] = {"latched": "latched_crossing", "fim": "fim"}
@@ -96,7 +96,7 @@ class StudyRadio:
 
     seed: int
     steps: int
-    places: list[PositionEnu] = field(default_factory=list)
+    positions: list[PositionEnu] = field(default_factory=list)
     """Where the vehicle truly was at each measurement."""
     z: list[tuple[float, float]] = field(default_factory=list)
     """What was measured there, metres and radians."""
@@ -112,7 +112,7 @@ class StudyRadio:
         east_m, north_m, _ = body.position_enu_m
         truth = truth_of(CASE, stream(run, TRUTH))
         range_m, bearing_rad = measured(channel_draws(CASE, run)[step], east_m, north_m, truth)
-        self.places.append(body.position_enu_m)
+        self.positions.append(body.position_enu_m)
         self.z.append((range_m, bearing_rad))
         seen = RangingMeasurement(1, now_s, range_m=range_m, bearing_enu_rad=bearing_rad)
         return self.codec.encode(message_from_ranging(seen, round(1e6 * now_s)))
@@ -156,7 +156,7 @@ class Flight:
     """A flight over MAVLink, and all that went into it."""
 
     config: CompanionConfig
-    places: list[PositionEnu]
+    positions: list[PositionEnu]
     z: list[tuple[float, float]]
     means: list[list[float]]
     asked: list[tuple[PlanRequest, Plan[Any]]]
@@ -196,8 +196,8 @@ def flight(
     assert tracker.accepted == steps
     estimate = session.estimate
     assert estimate is not None
-    place = estimate.position_enu_m
-    return Flight(config, radio.places, radio.z, tracker.means, watched.asked, place)
+    position = estimate.position_enu_m
+    return Flight(config, radio.positions, radio.z, tracker.means, watched.asked, position)
 
 
 def by_objects(case: Case, system: System, seed: int) -> TrialResult:
@@ -223,13 +223,13 @@ def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:
     np.testing.assert_allclose(kernels.record, objects.record, rtol=1e-9, atol=1e-9)
 
 
-def filter_means(places: Matrix, z: Matrix, belief: WalkFilter) -> Matrix:
+def filter_means(positions: Matrix, z: Matrix, belief: WalkFilter) -> Matrix:
     """The mean of the recursive filter after every measurement, (steps, n)."""
-    (east_m, north_m), (range_m, bearing_rad) = places[0], z[0, :2]
+    (east_m, north_m), (range_m, bearing_rad) = positions[0], z[0, :2]
     mean, covariance = first_fix(east_m, north_m, range_m, bearing_rad, belief)
     means = [mean]
-    for place, seen in zip(places[1:], z[1:], strict=True):
-        sensor = np.array([*place, 0.0])
+    for position, seen in zip(positions[1:], z[1:], strict=True):
+        sensor = np.array([*position, 0.0])
         mean, covariance = updated(mean, covariance, sensor, seen, belief)
         means.append(mean)
     return np.array(means)
@@ -240,8 +240,8 @@ def filter_means(places: Matrix, z: Matrix, belief: WalkFilter) -> Matrix:
 def test_bytes_change_no_estimate(planner: PlannerName) -> None:
     flown = flight(planner, FILTER_ALONE, 0)
     z = np.column_stack([flown.z, np.full(STEPS, math.nan)])
-    places = np.array(flown.places)[:, :2].copy()
-    means = filter_means(places, z, belief_of(CASE, System("asymmetric_huber", planner)))
+    positions = np.array(flown.positions)[:, :2].copy()
+    means = filter_means(positions, z, belief_of(CASE, System("asymmetric_huber", planner)))
     misses_m = np.hypot(*(means[:, :2] - np.array(flown.means)[:, :2]).T)
     assert len(misses_m) == STEPS
     assert misses_m.max() <= WIRE_M
@@ -301,7 +301,7 @@ def test_every_decision_of_a_flight_is_the_studys(planner: PlannerName) -> None:
         by_pilot = steer(step, at, estimate, covariance)
         mean = np.array([*estimate.position_enu_m, 0.0, 0.0])
         sensor, pick = np.array([*at, 0.0]), 0.5
-        *by_kernel, latch = next_place(sensor, mean, covariance, pick, latch, belief, steering)
+        *by_kernel, latch = next_position(sensor, mean, covariance, pick, latch, belief, steering)
         assert by_kernel == pytest.approx(by_pilot, abs=1e-9)
         if in_flight.waypoint.reason is WaypointReason.HOLD:
             assert by_pilot == at

@@ -26,10 +26,10 @@ def flown(navigation: NavigationParams, seed: int) -> tuple[TargetEstimate, floa
         loop.run(1.0)
     result = loop.companion.session.result
     assert result is not None
-    (east, north), place = scenario.emitter.position_enu_m, result.estimate.position_enu_m
+    (east, north), position = scenario.emitter.position_enu_m, result.estimate.position_enu_m
     e, n, _ = loop.sim.vehicle.estimator.bias_enu_m
-    relative_m = math.dist(place, (east + e, north + n))
-    return result.estimate, relative_m, math.dist(place, (east, north))
+    relative_m = math.dist(position, (east + e, north + n))
+    return result.estimate, relative_m, math.dist(position, (east, north))
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 4))])

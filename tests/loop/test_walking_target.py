@@ -32,11 +32,11 @@ Walk = Callable[[float], Point]
 def circle(speed_mps: float, radius_m: float = 30.0) -> Walk:
     """Round and round from (50, 50)."""
 
-    def place(time_s: float) -> Point:
+    def position(time_s: float) -> Point:
         turn = speed_mps * time_s / radius_m
         return (50.0 + radius_m * math.sin(turn), 50.0 + radius_m * (1.0 - math.cos(turn)))
 
-    return place
+    return position
 
 
 class WalkingRadio:

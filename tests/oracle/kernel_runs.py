@@ -181,12 +181,12 @@ def drawn_rows(params: FilterParams, rng: np.random.Generator) -> tuple[Matrix, 
     rows = np.full((60, 10 + len(drawn_axes(params, rng))), np.nan)
     for index in range(60):
         angle = 0.1 * index
-        place = (60.0 * math.cos(angle), 45.0 * math.sin(angle), 20.0)
-        sensor = np.array([*place, *drawn_axes(params, rng)])
+        position = (60.0 * math.cos(angle), 45.0 * math.sin(angle), 20.0)
+        sensor = np.array([*position, *drawn_axes(params, rng)])
         z = predicted(truth, sensor, params.model) + rng.normal(size=3) * [1.5, 0.03, 0.09]
         z[0] += rng.exponential(8.0) if rng.random() < 0.4 else 0.0
         z[rng.random(3) < 0.2] = np.nan
-        rows[index] = [*place, *z, 1.5, 0.03, 0.09, index, *sensor[3:]]
+        rows[index] = [*position, *z, 1.5, 0.03, 0.09, index, *sensor[3:]]
     return rows, truth
 
 

@@ -43,8 +43,8 @@ def _pose(rng: np.random.Generator) -> Vector:
     attitude = (*rng.uniform(-0.6, 0.6, 2).tolist(), float(rng.uniform(-3.0, 3.0)))
     mount_deg = tuple(rng.uniform(-90.0, 90.0, 3).tolist())
     _, right, down = antenna_axes_enu(attitude, mount_deg)
-    place = [*rng.uniform(-80.0, 80.0, 2), rng.uniform(12.0, 60.0)]
-    return np.array([*place, *right, *(-v for v in down)])
+    position = [*rng.uniform(-80.0, 80.0, 2), rng.uniform(12.0, 60.0)]
+    return np.array([*position, *right, *(-v for v in down)])
 
 
 def _mean(rng: np.random.Generator, model: RangingModel) -> Vector:

@@ -47,14 +47,14 @@ def _seen(time_s: float, z: Vector, rows: tuple[bool, bool, bool]) -> RangingMea
     )
 
 
-def _place(rng: np.random.Generator) -> tuple[PositionEnu, Vector]:
-    """A place about a target at the origin, and a noisy range, bearing and elevation there."""
+def _view(rng: np.random.Generator) -> tuple[PositionEnu, Vector]:
+    """Return a position about a target at the origin, and noisy measurements there."""
     angle, ground, up = rng.uniform(-math.pi, math.pi), rng.uniform(8.0, 80.0), rng.uniform(5, 30)
-    place = (ground * math.cos(angle), ground * math.sin(angle), float(up))
+    position = (ground * math.cos(angle), ground * math.sin(angle), float(up))
     z = np.array([math.hypot(ground, up), angle - math.pi, -math.atan2(up, ground)])
     z += rng.normal(size=3) * [1.5, 0.04, 0.1]
     z[1] = math.remainder(z[1], 2.0 * math.pi)
-    return place, z
+    return position, z
 
 
 @pytest.mark.parametrize("rows", ROWS.values(), ids=ROWS)
@@ -66,13 +66,13 @@ def test_states_and_reports_agree(params: FilterParams, rows: tuple[bool, bool, 
         state, time_s = _state(params, rng), 0.0
         for _ in range(15):
             time_s += rng.uniform(0.0, 2.0)
-            place, z = _place(rng)
+            position, z = _view(rng)
             measurement = _seen(time_s - rng.choice([0.0, 0.6]), z, rows)
             inflation = (float(rng.uniform(1.0, 4.0)), 1.0, 2.0)
             predicted, theirs_predicted = ours.predict(state, time_s), theirs.predict(state, time_s)
             _assert_same(predicted, theirs_predicted)
-            one = ours.update(predicted, measurement, place, inflation)
-            two = theirs.update(predicted, measurement, place, inflation)
+            one = ours.update(predicted, measurement, position, inflation)
+            two = theirs.update(predicted, measurement, position, inflation)
             _assert_same(one.state, two.state)
             assert two.nis == pytest.approx(one.nis, rel=1e-7, abs=1e-9)
             for ours_row, theirs_row in zip(one.modalities, two.modalities, strict=True):

@@ -128,14 +128,14 @@ def _oracle(state: FilterState, case: Case) -> Any:
     return ekf
 
 
-def _oracle_step(ekf: Any, z: Vector, case: Case, place: PositionEnu, q2dt: float) -> None:
-    is_place = np.array([1, 1, 0, 0, 0, 1])[: ekf.x.size]
-    ekf.Q = q2dt * np.diag(is_place)
+def _oracle_step(ekf: Any, z: Vector, case: Case, position: PositionEnu, q2dt: float) -> None:
+    is_position = np.array([1, 1, 0, 0, 0, 1])[: ekf.x.size]
+    ekf.Q = q2dt * np.diag(is_position)
     ekf.predict()
     ekf.update(
         z[case.rows],
-        HJacobian=lambda x: case.model(x, place)[1][case.rows],
-        Hx=lambda x: case.model(x, place)[0][case.rows],
+        HJacobian=lambda x: case.model(x, position)[1][case.rows],
+        Hx=lambda x: case.model(x, position)[0][case.rows],
         R=np.diag(SIGMAS[case.rows] ** 2),
         residual=_wrapped_residual(case.rows),
     )
@@ -152,18 +152,18 @@ def _first(case: Case, rng: np.random.Generator) -> FilterState:
 
 
 def _walk(rng: np.random.Generator, case: Case) -> Iterator[tuple[float, PositionEnu, Vector]]:
-    """Times, places and noisy measurements (wrapped) about a target at the origin."""
+    """Yield times, positions and noisy measurements (wrapped) about a target at the origin."""
     time_s, angle = 0.0, rng.uniform(-math.pi, math.pi)
     truth = np.array(case.params.prior[0])
     while True:
         time_s += rng.uniform(0.05, 2.0)
         angle += rng.uniform(-0.5, 0.8)
         ground_m = rng.uniform(15.0, 80.0)
-        place = (ground_m * math.cos(angle), ground_m * math.sin(angle), rng.uniform(5.0, 30.0))
-        z, _ = case.model(truth, place)
+        position = (ground_m * math.cos(angle), ground_m * math.sin(angle), rng.uniform(5.0, 30.0))
+        z, _ = case.model(truth, position)
         z += rng.normal(size=z.size) * SIGMAS[: z.size]
         z[1] = math.remainder(z[1], 2.0 * math.pi)
-        yield time_s, place, z
+        yield time_s, position, z
 
 
 def _measurement(time_s: float, z: Vector, rows: list[int]) -> RangingMeasurement:
@@ -189,11 +189,11 @@ def test_without_thresholds_the_filter_is_filterpys(
         ekf = _oracle(state, case)
         walk = _walk(rng, case)
         for _ in range(40):
-            time_s, place, z = next(walk)
+            time_s, position, z = next(walk)
             q2dt = process_noise**2 * (time_s - state.time_s)
-            _oracle_step(ekf, z, case, place, q2dt)
+            _oracle_step(ekf, z, case, position, q2dt)
             seen = _measurement(time_s, z, case.rows)
-            report = ours.update(ours.predict(state, time_s), seen, place)
+            report = ours.update(ours.predict(state, time_s), seen, position)
             assert report.is_positive_definite
             state = report.state
             expected = np.array(ekf.x)
@@ -209,8 +209,8 @@ def test_the_nis_is_the_square_of_filterpys_mahalanobis_distance(case: Case) -> 
     ekf = _oracle(state, case)
     walk = _walk(rng, case)
     for _ in range(30):
-        time_s, place, z = next(walk)
-        _oracle_step(ekf, z, case, place, 0.0)
-        report = ours.update(state, _measurement(time_s, z, case.rows), place)
+        time_s, position, z = next(walk)
+        _oracle_step(ekf, z, case, position, 0.0)
+        report = ours.update(state, _measurement(time_s, z, case.rows), position)
         assert report.nis == pytest.approx(float(ekf.mahalanobis) ** 2, rel=1e-9)
         state = report.state

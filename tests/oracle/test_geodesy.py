@@ -13,7 +13,7 @@ from companion.geometry.coordinates import LocalOrigin, Projection, wrap_pi
 
 EARTH_RADIUS_M = 6_371_000.0
 
-PLACES = [
+POSITIONS_DEG = [
     (47.397742, 8.545594),  # Zurich
     (0.0, 0.0),
     (-33.86, 151.21),
@@ -23,7 +23,7 @@ PLACES = [
 ]
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), PLACES)
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), POSITIONS_DEG)
 @pytest.mark.parametrize("azimuth_deg", [0.0, 37.0, 90.0, 180.0, 225.0, 300.0])
 @pytest.mark.parametrize("distance_m", [1.0, 150.0, 2000.0])
 def test_distance_and_direction_are_those_of_the_geodesic(
@@ -39,7 +39,7 @@ def test_distance_and_direction_are_those_of_the_geodesic(
     assert up_m == pytest.approx(-(distance_m**2) / (2.0 * EARTH_RADIUS_M), abs=0.005)
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), PLACES)
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), POSITIONS_DEG)
 def test_a_local_point_has_the_geodesic_distance_from_the_origin(
     latitude_deg: float, longitude_deg: float
 ) -> None:
@@ -56,12 +56,12 @@ def test_altitude_is_up() -> None:
 
 
 def on_sphere(latitude_deg: float, longitude_deg: float) -> np.ndarray:
-    """The unit vector of a place on a sphere."""
+    """Return the unit vector of a position on a sphere."""
     lat, lon = math.radians(latitude_deg), math.radians(longitude_deg)
     return np.array([math.cos(lat) * math.cos(lon), math.cos(lat) * math.sin(lon), math.sin(lat)])
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), PLACES)
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), POSITIONS_DEG)
 @pytest.mark.parametrize("azimuth_deg", [0.0, 37.0, 90.0, 180.0, 225.0, 300.0])
 @pytest.mark.parametrize("distance_m", [1.0, 150.0, 1000.0, 20_000.0])
 def test_px4_keeps_distance_and_direction_from_the_origin_on_its_sphere(
@@ -87,7 +87,7 @@ def test_px4_keeps_distance_and_direction_from_the_origin_on_its_sphere(
     )
 
 
-@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), PLACES)
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), POSITIONS_DEG)
 def test_ardupilot_counts_degrees(latitude_deg: float, longitude_deg: float) -> None:
     """0.0111319 m a unit of 1e-7 degrees; east by the cosine of the latitude in the middle."""
     origin = LocalOrigin(latitude_deg, longitude_deg, 100.0, Projection.FLAT)
@@ -96,10 +96,10 @@ def test_ardupilot_counts_degrees(latitude_deg: float, longitude_deg: float) -> 
         cosine = math.cos(math.radians(latitude_deg + north_e7 * 0.5e-7))
         enu_m = (0.011131884502145034 * east_e7 * cosine, 0.011131884502145034 * north_e7, 3.0)
         assert origin.enu_from_geodetic(lat, lon, 103.0) == pytest.approx(enu_m, abs=1e-6)
-        place = origin.geodetic_from_enu(enu_m)
-        off_deg = math.remainder(place[1] - lon, 360.0)
-        assert (place[0] - lat, off_deg) == pytest.approx((0.0, 0.0), abs=1e-11)
-        assert -180.0 <= place[1] <= 180.0
+        position = origin.geodetic_from_enu(enu_m)
+        off_deg = math.remainder(position[1] - lon, 360.0)
+        assert (position[0] - lat, off_deg) == pytest.approx((0.0, 0.0), abs=1e-11)
+        assert -180.0 <= position[1] <= 180.0
 
 
 def test_px4_is_off_the_ellipsoid_as_it_was_seen_to_be() -> None:
@@ -114,7 +114,7 @@ def test_px4_is_off_the_ellipsoid_as_it_was_seen_to_be() -> None:
 @pytest.mark.parametrize("projection", Projection)
 def test_what_pairs_showed_beyond_the_projection_is_kept_both_ways(projection: Projection) -> None:
     origin = LocalOrigin(47.4, 8.5, 488.0, projection, (2.0, -1.0, 0.5), (1.002, 0.999))
-    place = origin.geodetic_from_enu((300.0, -400.0, 20.0))
-    assert origin.enu_from_geodetic(*place) == pytest.approx((300.0, -400.0, 20.0), abs=1e-6)
-    plain = LocalOrigin(47.4, 8.5, 488.0, projection).enu_from_geodetic(*place)
+    position = origin.geodetic_from_enu((300.0, -400.0, 20.0))
+    assert origin.enu_from_geodetic(*position) == pytest.approx((300.0, -400.0, 20.0), abs=1e-6)
+    plain = LocalOrigin(47.4, 8.5, 488.0, projection).enu_from_geodetic(*position)
     assert plain == pytest.approx((298.0 / 1.002, -399.0 / 0.999, 19.5), abs=1e-6)

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from matplotlib.path import Path
 
 from sim_link.lab.monitor.independent_checks import Corners, depth_m, is_way_clear
-from tools.campaign.random_missions import PLACES, Place
+from tools.campaign.random_missions import SITES, Site
 
 coordinates = st.floats(-160.0, 160.0, allow_nan=False)
 points = st.tuples(coordinates, coordinates)
-places = st.sampled_from(PLACES)
+sites = st.sampled_from(SITES)
 
 
 def border(corners: Corners, count: int = 4000) -> np.ndarray:
@@ -27,41 +27,39 @@ def border(corners: Corners, count: int = 4000) -> np.ndarray:
 
 
 BORDERS = {
-    corners: border(corners) for p in PLACES for corners in (p.fence_enu_m, *p.keep_out_enu_m)
+    corners: border(corners) for p in SITES for corners in (p.fence_enu_m, *p.keep_out_enu_m)
 }
 
 
-@given(places, points)
+@given(sites, points)
 @settings(max_examples=300, deadline=None)
-def test_inside_is_what_a_path_contains(place: Place, point: tuple[float, float]) -> None:
-    for corners in (place.fence_enu_m, *place.keep_out_enu_m):
+def test_inside_is_what_a_path_contains(site: Site, point: tuple[float, float]) -> None:
+    for corners in (site.fence_enu_m, *site.keep_out_enu_m):
         nearest = float(np.min(np.hypot(*(BORDERS[corners] - point).T)))
         if nearest > 0.1:
             assert (depth_m(corners, (), point) >= 0.0) == bool(Path(corners).contains_point(point))
 
 
-@given(places, points)
+@given(sites, points)
 @settings(max_examples=300, deadline=None)
 def test_depth_is_the_distance_to_the_nearest_border_point(
-    place: Place, point: tuple[float, float]
+    site: Site, point: tuple[float, float]
 ) -> None:
-    inside = Path(place.fence_enu_m).contains_point(point)
-    away = float(np.min(np.hypot(*(BORDERS[place.fence_enu_m] - point).T)))
+    inside = Path(site.fence_enu_m).contains_point(point)
+    away = float(np.min(np.hypot(*(BORDERS[site.fence_enu_m] - point).T)))
     expected = away if inside else -away
-    for keep_out in place.keep_out_enu_m:
+    for keep_out in site.keep_out_enu_m:
         away = float(np.min(np.hypot(*(BORDERS[keep_out] - point).T)))
         expected = min(expected, -away if Path(keep_out).contains_point(point) else away)
-    assert depth_m(place.fence_enu_m, place.keep_out_enu_m, point) == pytest.approx(
-        expected, abs=0.1
-    )
+    assert depth_m(site.fence_enu_m, site.keep_out_enu_m, point) == pytest.approx(expected, abs=0.1)
 
 
-@given(places, points, points)
+@given(sites, points, points)
 @settings(max_examples=300, deadline=None)
 def test_a_way_is_clear_if_every_point_of_it_is_inside(
-    place: Place, start: tuple[float, float], end: tuple[float, float]
+    site: Site, start: tuple[float, float], end: tuple[float, float]
 ) -> None:
-    fence, keep_outs = place.fence_enu_m, place.keep_out_enu_m
+    fence, keep_outs = site.fence_enu_m, site.keep_out_enu_m
     if min(depth_m(fence, keep_outs, p) for p in (start, end)) <= 0.0:
         return
     count = max(2, math.ceil(math.dist(start, end) / 0.05))

@@ -45,7 +45,7 @@ def _size(model: RangingModel) -> int:
     return 4 + (model.scale_index >= 0) + (model.height_index >= 0)
 
 
-def _place(rng: np.random.Generator, model: RangingModel) -> tuple[Vector, Vector]:
+def _scene(rng: np.random.Generator, model: RangingModel) -> tuple[Vector, Vector]:
     """A state and where it is looked at from."""
     mean = np.zeros(_size(model))
     mean[:4] = [*rng.uniform(-80.0, 80.0, 2), 3.0 * rng.normal(), 0.1 * rng.normal()]
@@ -68,7 +68,7 @@ def _differences(mean: Vector, sensor: Vector, model: RangingModel) -> Matrix:
 
 @pytest.mark.parametrize("seed", range(50))
 def test_partials_are_the_slope_of_the_prediction(seed: int, model: RangingModel) -> None:
-    mean, sensor = _place(np.random.default_rng(seed), model)
+    mean, sensor = _scene(np.random.default_rng(seed), model)
     slope = _differences(mean, sensor, model)
     np.testing.assert_allclose(jacobian(mean, sensor, model), slope, rtol=0.0, atol=1e-7)
 
@@ -76,7 +76,7 @@ def test_partials_are_the_slope_of_the_prediction(seed: int, model: RangingModel
 @pytest.mark.parametrize("ground_m", [0.2, 1.0])
 def test_so_they_are_next_to_the_target(ground_m: float, model: RangingModel) -> None:
     for direction_rad in np.arange(0.0, 6.0, 0.7):
-        mean = _place(np.random.default_rng(1), model)[0]
+        mean = _scene(np.random.default_rng(1), model)[0]
         up = mean[model.height_index] if model.height_index >= 0 else model.height_m
         aside = ground_m * np.array([math.cos(direction_rad), math.sin(direction_rad)])
         for rise_m in (-0.3, 0.0, 2.0):
@@ -87,10 +87,10 @@ def test_so_they_are_next_to_the_target(ground_m: float, model: RangingModel) ->
 
 def _rows(rng: np.random.Generator, model: RangingModel, count: int) -> tuple[Matrix, Vector]:
     """Measurements of a target from all around, a fifth of each modality missing."""
-    mean, _ = _place(rng, model)
+    mean, _ = _scene(rng, model)
     rows = np.empty((count, 10))
     for index in range(count):
-        sensor = _place(rng, model)[1]
+        sensor = _scene(rng, model)[1]
         z = predicted(mean, sensor, model) + rng.normal(size=3) * [2.0, 0.3, 0.2]
         rows[index] = [*sensor, *z, 1.5, 0.03, 0.09, index]
     rows[:, 3:6][rng.random((count, 3)) < 0.2] = np.nan
@@ -173,7 +173,7 @@ def test_a_scale_lengthens_the_distance_and_not_the_offset() -> None:
 
 
 def test_at_the_target_only_the_offsets_are_seen(model: RangingModel) -> None:
-    mean, _ = _place(np.random.default_rng(2), model)
+    mean, _ = _scene(np.random.default_rng(2), model)
     up = mean[model.height_index] if model.height_index >= 0 else model.height_m
     H = jacobian(mean, np.array([mean[0], mean[1], up]), model)
     expected = np.zeros((3, mean.size))
@@ -182,7 +182,7 @@ def test_at_the_target_only_the_offsets_are_seen(model: RangingModel) -> None:
 
 
 def test_right_overhead_there_is_height_and_scale_but_no_direction(model: RangingModel) -> None:
-    mean, _ = _place(np.random.default_rng(2), model)
+    mean, _ = _scene(np.random.default_rng(2), model)
     up = mean[model.height_index] if model.height_index >= 0 else model.height_m
     H = jacobian(mean, np.array([mean[0], mean[1], up + 20.0]), model)
     assert not H[:, :2].any()
@@ -200,7 +200,7 @@ def test_with_a_known_height_in_the_state_nothing_differs_bit_for_bit() -> None:
     plane, space = LAYOUTS["plane"].model, LAYOUTS["height"].model
     rng = np.random.default_rng(9)
     for _ in range(50):
-        mean, sensor = _place(rng, plane)
+        mean, sensor = _scene(rng, plane)
         lifted = np.append(mean, plane.height_m)
         root = rng.normal(size=(4, 4))
         P = np.zeros((5, 5))

@@ -33,7 +33,7 @@ def _sequence(
     for _ in range(LENGTH):
         now_s += float(dtype(rng.choice(STEPS_S)))
         has_range, has_bearing = rng.random(2) < 0.8
-        place = rng.normal(0.0, rng.choice([0.0, 20.0, 1e4]), 3)
+        position = rng.normal(0.0, rng.choice([0.0, 20.0, 1e4]), 3)
         one = RangingMeasurement(
             emitter_id=1,
             measured_at_s=now_s + float(rng.choice([0.0, -0.5, 0.05])),
@@ -42,7 +42,7 @@ def _sequence(
             bearing_enu_rad=float(dtype(rng.uniform(-3.14, 3.14))) if has_bearing else None,
             bearing_sigma_rad=value(SIGMAS) if rng.random() < 0.5 else None,
         )
-        measured.append((one, (float(place[0]), float(place[1]), float(place[2])), now_s))
+        measured.append((one, (float(position[0]), float(position[1]), float(position[2])), now_s))
     return measured
 
 
@@ -65,8 +65,8 @@ def test_any_sequence_is_survived(dtype: type[np.floating], drift: float) -> Non
         tracker = TargetTracker(
             TrackerParams(filter=FilterParams(process_noise_m_per_sqrt_s=drift))
         )
-        for measurement, place, now_s in _sequence(rng, dtype):
-            tracker.fuse(measurement, place, now_s)
+        for measurement, position, now_s in _sequence(rng, dtype):
+            tracker.fuse(measurement, position, now_s)
             _check(tracker, now_s)
         accepted += tracker.accepted
     assert accepted > 0.3 * SEQUENCES * LENGTH

@@ -40,8 +40,8 @@ def flown(
     """Yield honest measurements about the target, of an azimuth or of a level planar array."""
     for step in range(COUNT):
         angle_rad = 0.15 * step
-        place = (TARGET[0] + 30.0 * math.cos(angle_rad), 20.0 + step * 0.5, 20.0)
-        away = np.subtract(TARGET, place)
+        position = (TARGET[0] + 30.0 * math.cos(angle_rad), 20.0 + step * 0.5, 20.0)
+        away = np.subtract(TARGET, position)
         bearing_rad = math.atan2(away[1], away[0]) + float(rng.normal(0.0, 0.03))
         array = ArrayDirection(*AXES, wrap_pi(-bearing_rad)) if is_array else None
         yield (
@@ -55,7 +55,7 @@ def flown(
                 bearing_sigma_rad=0.035,
                 array=array,
             ),
-            place,
+            position,
         )
 
 
@@ -89,9 +89,9 @@ def test_an_extreme_of_any_reported_number_is_refused_or_computed_with(
     for extreme in extremes:
         rng = np.random.default_rng(5)
         tracker = TargetTracker(TrackerParams())
-        for number, (seen, place) in enumerate(flown(rng, is_array=is_array)):
+        for number, (seen, position) in enumerate(flown(rng, is_array=is_array)):
             said = replace(seen, **{field: extreme}) if number % 2 else seen  # type: ignore[arg-type]
-            tracker.fuse(said, place, seen.measured_at_s)
+            tracker.fuse(said, position, seen.measured_at_s)
             check(tracker, seen.measured_at_s)
         assert tracker.accepted >= COUNT // 2
 
@@ -169,8 +169,8 @@ def test_an_extreme_of_any_configured_number_is_refused_or_flown_with(
             continue
         if path[0] == "estimation":
             tracker = TargetTracker(config.tracking)
-            for seen, place in flown(np.random.default_rng(5), is_array=False):
-                tracker.fuse(seen, place, seen.measured_at_s)
+            for seen, position in flown(np.random.default_rng(5), is_array=False):
+                tracker.fuse(seen, position, seen.measured_at_s)
             check(tracker, COUNT * 0.2)
         else:
             wire = Wire(config).ready(OFFBOARD)

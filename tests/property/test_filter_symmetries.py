@@ -34,7 +34,7 @@ def _turned(turn_rad: float, size: int) -> Matrix:
 
 
 def _scene(seed: int, params: FilterParams) -> tuple[FilterState, RangingMeasurement, PositionEnu]:
-    """Any state, a measurement of everything within a few sigma, and a place well off it."""
+    """Return any state, a whole measurement within a few sigma, and a position well off it."""
     rng = np.random.default_rng(seed)
     mean, sigmas = params.prior
     sigmas[:2] = 5.0
@@ -55,11 +55,11 @@ def _scene(seed: int, params: FilterParams) -> tuple[FilterState, RangingMeasure
 def _updated(kind: str, name: str, seed: int, turn_rad: float, shift: Vector) -> Vector:
     """Mean and covariance after one update of the scene turned and shifted, turned back."""
     params = PARAMS[name]
-    state, seen, place = _scene(seed, params)
+    state, seen, position = _scene(seed, params)
     T = _turned(turn_rad, state.mean.size)
     moved = T @ state.mean
     moved[:2] += shift
-    sensor = np.array(place)
+    sensor = np.array(position)
     sensor[:2] += shift
     assert seen.bearing_enu_rad is not None
     turned = RangingMeasurement(
@@ -107,10 +107,10 @@ def _parts(report: UpdateReport) -> tuple[list[int], Matrix, Vector]:
 def test_row_by_row_is_the_joint_update(kind: str, name: str, seed: int) -> None:
     """With the weights of the innovations: K = P H' (H P H' + R)^-1 and (I - K H) P."""
     params = PARAMS[name]
-    state, seen, place = _scene(seed, params)
-    report = RECURSIVE[kind](params).update(state, seen, place)
+    state, seen, position = _scene(seed, params)
+    report = RECURSIVE[kind](params).update(state, seen, position)
     rows, R, y = _parts(report)
-    H = jacobian(state.mean, np.array(place), params.model)[rows]
+    H = jacobian(state.mean, np.array(position), params.model)[rows]
     P = state.covariance
     S = H @ P @ H.T + R
     K = np.linalg.solve(S, H @ P).T

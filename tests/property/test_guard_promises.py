@@ -119,32 +119,32 @@ class Oracle:
         return float(min(shape.distance(border) for border in borders))
 
 
-def ahead(place: Point, velocity: Position, time_s: float) -> Point:
-    return (place[0] + velocity[0] * time_s, place[1] + velocity[1] * time_s)
+def ahead(position: Point, velocity: Position, time_s: float) -> Point:
+    return (position[0] + velocity[0] * time_s, position[1] + velocity[1] * time_s)
 
 
 def assert_may_be_last(guard: Guard, oracle: Oracle, setpoint: Guarded, motion: Motion) -> None:
     """Of a setpoint that moved."""
-    stopping, place = guard.limits.stopping, setpoint.position_enu_m[:2]
+    stopping, position = guard.limits.stopping, setpoint.position_enu_m[:2]
     fence, velocity = guard.limits.fence, setpoint.velocity_enu_mps
     assert fence is not None
-    assert oracle.clearance_m(place) >= fence.margin_m - ROUNDING_M
+    assert oracle.clearance_m(position) >= fence.margin_m - ROUNDING_M
     speed_mps = math.hypot(*velocity[:2])
     braking_m = speed_mps * speed_mps / (2.0 * stopping.deceleration_mps2)
     needed_m = speed_mps * stopping.latency_s + braking_m
-    stop = place if speed_mps == 0.0 else ahead(place, velocity, needed_m / speed_mps)
+    stop = position if speed_mps == 0.0 else ahead(position, velocity, needed_m / speed_mps)
     three_sigma_m = 3.0 * stopping.navigation_sigma_m - ROUNDING_M
-    assert oracle.clearance_m(place, stop) >= three_sigma_m
+    assert oracle.clearance_m(position, stop) >= three_sigma_m
     vehicle = motion.position_enu_m[:2]
-    assert oracle.clearance_m(vehicle, place) >= three_sigma_m
+    assert oracle.clearance_m(vehicle, position) >= three_sigma_m
     arrival = ahead(vehicle, motion.velocity_enu_mps, stopping.latency_s)
-    assert oracle.clearance_m(arrival, place) >= three_sigma_m
+    assert oracle.clearance_m(arrival, position) >= three_sigma_m
 
 
-def out_m(guard: Guard, place: Position) -> float:
-    """How far a place is from what is allowed."""
+def out_m(guard: Guard, position: Position) -> float:
+    """Return the distance, m, of a position from the nearest that is allowed."""
     assert guard.limits.fence is not None
-    return math.dist(place[:2], guard.limits.fence.nearest_allowed(place[:2]))
+    return math.dist(position[:2], guard.limits.fence.nearest_allowed(position[:2]))
 
 
 def assert_comes_in(
@@ -161,7 +161,7 @@ def assert_comes_in(
     climbed_m = abs(after.position_enu_m[2] - before.position_enu_m[2])
     most_mps = max(envelope.climb_mps, abs(before.velocity_enu_mps[2]))
     assert climbed_m <= most_mps * dt_s + ROUNDING_M
-    outs = [out_m(guard, place) for place in (before.position_enu_m, vehicle)]
+    outs = [out_m(guard, position) for position in (before.position_enu_m, vehicle)]
     assert out_m(guard, after.position_enu_m) <= max(outs) + ROUNDING_M
 
 
@@ -206,30 +206,32 @@ def assert_is_near_enough(
 
 @settings(max_examples=200, deadline=None)
 @given(guards(), st.tuples(near, near, near), st.lists(ticks, min_size=1, max_size=12))
-def test_every_setpoint_may_be_the_last(guard: Guard, place: Position, flown: list[Tick]) -> None:
+def test_every_setpoint_may_be_the_last(
+    guard: Guard, position: Position, flown: list[Tick]
+) -> None:
     fence = guard.limits.fence
     assert fence is not None
     oracle = Oracle(fence)
     home = (0.0, 0.0, HOME_UP_M)
     low_m, high_m = (HOME_UP_M + height_m for height_m in guard.limits.altitude_m)
-    before = guard.here(Motion(place, (0.0, 0.0, 0.0), home))
+    before = guard.here(Motion(position, (0.0, 0.0, 0.0), home))
     for tick in flown:
         east, north = (
             was + tick.follows * (to - was) + drift
-            for was, to, drift in zip(place, before.position_enu_m, tick.drift_m, strict=False)
+            for was, to, drift in zip(position, before.position_enu_m, tick.drift_m, strict=False)
         )
-        place = (east, north, place[2])
-        motion = Motion(place, tick.velocity_enu_mps, home, tick.battery_pct)
+        position = (east, north, position[2])
+        motion = Motion(position, tick.velocity_enu_mps, home, tick.battery_pct)
         after = guard.towards(tick.goal_enu_m, before, motion, tick.dt_s, tick.cap_mps)
-        if after.position_enu_m[:2] not in (before.position_enu_m[:2], place[:2]):
+        if after.position_enu_m[:2] not in (before.position_enu_m[:2], position[:2]):
             is_inside = oracle.clearance_m(after.position_enu_m[:2]) >= fence.margin_m - ROUNDING_M
             out = out_m(guard, after.position_enu_m)
-            assert is_inside or out <= out_m(guard, place) + ROUNDING_M
+            assert is_inside or out <= out_m(guard, position) + ROUNDING_M
         assert low_m - ROUNDING_M <= after.position_enu_m[2] <= high_m + ROUNDING_M
         comes_in = bool(set(after.reasons) & set(WAY_IN))
         is_restart = after.position_enu_m == guard.here(motion).position_enu_m
         if comes_in and not is_restart:
-            assert_comes_in(guard, before, after, tick, place)
+            assert_comes_in(guard, before, after, tick, position)
         elif not (is_restart and set(after.reasons) & set(ANEW)):
             assert_within_envelope(guard, before, after, tick)
             assert_is_near_enough(guard, before, after, tick, motion)

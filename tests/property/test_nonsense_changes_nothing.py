@@ -14,7 +14,7 @@ from companion.estimation.screen import RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 
-PLACE: PositionEnu = (10.0, 5.0, 20.0)
+POSITION: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0
 GOOD = RangingMeasurement(
     emitter_id=7, measured_at_s=NOW_S, range_m=50.0, range_sigma_m=1.0, bearing_enu_rad=0.4
@@ -77,6 +77,6 @@ BEFORE = _bits(TRACKER)
 def test_a_measurement_that_means_nothing_has_a_reason_and_no_effect(
     measurement: RangingMeasurement,
 ) -> None:
-    report = TRACKER.fuse(measurement, PLACE, NOW_S)
+    report = TRACKER.fuse(measurement, POSITION, NOW_S)
     assert isinstance(report.reject_reason, RejectReason)
     assert _bits(TRACKER) == BEFORE

@@ -167,9 +167,9 @@ class FrameFuzzer:
             case 1:
                 return frame[: int(self._rng.integers(1, len(frame)))]
             case 2:
-                place = int(self._rng.integers(10, len(frame)))
-                flipped = frame[place] ^ (1 << int(self._rng.integers(8)))
-                return frame[:place] + bytes((flipped,)) + frame[place + 1 :]
+                offset = int(self._rng.integers(10, len(frame)))
+                flipped = frame[offset] ^ (1 << int(self._rng.integers(8)))
+                return frame[:offset] + bytes((flipped,)) + frame[offset + 1 :]
             case 3:
                 return frame[:1] + bytes((int(self._rng.integers(256)),)) + frame[2:-1]
             case 4:
@@ -180,14 +180,14 @@ class FrameFuzzer:
 
 def _set_field(kind: type[Message], payload: bytearray, name: str, value: int) -> None:
     """Write a one-byte field at its offset on the wire."""
-    place = 0
+    offset = 0
     for field in kind.ordered_fieldnames:
         index = kind.fieldnames.index(field)
         count = max(1, int(kind.array_lengths[kind.ordered_fieldnames.index(field)]))
         if field == name:
-            payload[place] = value
+            payload[offset] = value
             return
-        place += SIZES[str(kind.fieldtypes[index])] * count
+        offset += SIZES[str(kind.fieldtypes[index])] * count
     raise KeyError(name)
 
 

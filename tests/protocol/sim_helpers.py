@@ -175,7 +175,7 @@ class GroundStation:
         assert self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 0.0) == ACCEPTED
 
     @property
-    def place(self) -> tuple[float, float, float]:
+    def position(self) -> tuple[float, float, float]:
         """North, east and down from LOCAL_POSITION_NED."""
         report = self.last(mavlink.MAVLink_local_position_ned_message)
         return (report.x, report.y, report.z)

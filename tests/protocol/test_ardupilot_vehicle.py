@@ -44,7 +44,7 @@ def flying(parameters: dict[str, float] | None = None, **scenario: object) -> Gr
     assert station.command(ARM, 1.0) == ACCEPTED
     assert station.command(TAKEOFF, *[0.0] * 6, 10.0) == ACCEPTED
     station.run(12.0)
-    assert station.place[2] == pytest.approx(-10.0, abs=0.3)
+    assert station.position[2] == pytest.approx(-10.0, abs=0.3)
     return station
 
 
@@ -118,7 +118,7 @@ def test_a_take_off_to_nowhere_is_refused(height_m: float) -> None:
     station.command(ARM, 1.0)
     assert station.command(TAKEOFF, *[0.0] * 6, height_m) == FAILED
     station.run(3.0)
-    assert station.place[2] == pytest.approx(0.0, abs=0.01)
+    assert station.position[2] == pytest.approx(0.0, abs=0.01)
 
 
 def test_land_disarms_a_second_after_the_touchdown() -> None:
@@ -144,19 +144,19 @@ def test_an_outward_velocity_ends_inside_the_fence() -> None:
     station = flying({"FENCE_ENABLE": 1}, fence=FenceParams(corners_enu_m=SQUARE))
     station.stream = lambda: local_setpoint(vx=4.0, mask=VELOCITY_ONLY)
     station.run(15.0)
-    assert 26.0 < station.place[0] < 30.0
+    assert 26.0 < station.position[0] < 30.0
     assert number_of(station) == GUIDED
     station.stream = lambda: local_setpoint(vx=-4.0, mask=VELOCITY_ONLY)
     station.run(2.0)
-    assert station.place[0] < 24.0
+    assert station.position[0] < 24.0
 
 
 def test_a_target_outside_the_fence_is_ignored_in_silence() -> None:
     station = flying({"FENCE_ENABLE": 1}, fence=FenceParams(corners_enu_m=SQUARE))
-    said, before = len(texts(station)), station.place
+    said, before = len(texts(station)), station.position
     station.stream = lambda: local_setpoint(90.0, 10.0, -10.0)
     station.run(5.0)
-    assert station.place == pytest.approx(before, abs=0.1)
+    assert station.position == pytest.approx(before, abs=0.1)
     assert len(texts(station)) == said
 
 
@@ -203,7 +203,7 @@ def test_it_goes_to_a_place_at_the_speed_that_was_commanded_until_the_mode_chang
 
 
 def top_speed_mps(station: GroundStation, north_m: float) -> float:
-    """On the way to a place far away."""
+    """The vehicle is on its way to a distant position."""
     station.send(local_setpoint(north_m, 0.0, -10.0))
     speeds = []
     for _ in range(40):
@@ -227,8 +227,8 @@ def test_return_waits_over_home_before_it_comes_down(loiter_s: float) -> None:
     station.send(local_setpoint(20.0, 10.0, -10.0))
     station.run(10.0)
     assert choose(station, RTL) == ACCEPTED
-    station.run_until(lambda: abs(station.place[0] - 10.0) < 0.6, 20.0)
-    waited_s = station.run_until(lambda: station.place[2] > -9.0, 20.0)
+    station.run_until(lambda: abs(station.position[0] - 10.0) < 0.6, 20.0)
+    waited_s = station.run_until(lambda: station.position[2] > -9.0, 20.0)
     assert waited_s == pytest.approx(1.2 + loiter_s, abs=0.8)
 
 

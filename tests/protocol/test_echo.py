@@ -104,8 +104,8 @@ def test_arducopter_tells_what_it_was_sent_and_zeros(
     assert told.type_mask == ignored
     if not ignored & dialect.POSITION_IGNORE:
         moved_m = 0.0 if ignored & dialect.VELOCITY_IGNORE else 0.1  # it runs on
-        place = (20.0 + moved_m, 10.0, -10.0)
-        assert (told.x, told.y, told.z) == pytest.approx(place)
+        position = (20.0 + moved_m, 10.0, -10.0)
+        assert (told.x, told.y, told.z) == pytest.approx(position)
     else:
         assert (told.x, told.y, told.z) == (0.0, 0.0, 0.0)
     assert (told.yaw, told.yaw_rate) == (0.0, 0.0)

@@ -95,13 +95,13 @@ def test_a_pilot_of_arducopter_switches_modes(mode: FlightMode, number: int) -> 
 def test_sticks_show_in_rc_channels_and_fly_where_a_mode_obeys_them() -> None:
     station = px4(rc=RcParams(is_present=True))
     happen(station, incidents.PilotMode(mode=FlightMode.POSITION))
-    before = station.place
+    before = station.position
     happen(station, incidents.PilotSticks(forward=0.8, yaw=-0.5, duration_s=2.0))
     station.run(1.0)
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == ACCEPTED
     channels = station.last(mavlink.MAVLink_rc_channels_message)
     assert (channels.chan2_raw, channels.chan4_raw) == (1100, 1250)
-    assert station.place[0] - before[0] > 1.5
+    assert station.position[0] - before[0] > 1.5
     station.run(2.0)
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, RC_CHANNELS) == ACCEPTED
     assert station.last(mavlink.MAVLink_rc_channels_message).chan2_raw == 1500
@@ -145,12 +145,12 @@ def test_a_jump_of_the_heading_shows_in_the_reports_and_turns_the_vehicle_back()
 
 def test_a_shifted_origin_is_told_and_moves_only_the_local_frame() -> None:
     station = px4()
-    before, true = station.place, station.sim.vehicle.body.position_enu_m
+    before, true = station.position, station.sim.vehicle.body.position_enu_m
     station.inbox.clear()
     happen(station, incidents.OriginShift(east_m=10.0, north_m=-1000.0))
     station.run(0.1)
     assert station.all(mavlink.MAVLink_gps_global_origin_message)
-    north, east, down = station.place
+    north, east, down = station.position
     moved = (north - before[0], east - before[1], down - before[2])
     assert moved == pytest.approx((1000.0, -10.0, 0.0), abs=0.2)
     station.run(2.0)
@@ -187,7 +187,7 @@ def test_a_reboot_is_silent_falls_and_begins_a_new_clock(
     make: Callable[[], GroundStation],
 ) -> None:
     station = make()
-    place = station.sim.vehicle.body.position_enu_m
+    position = station.sim.vehicle.body.position_enu_m
     happen(station, incidents.VehicleReboot(down_s=2.0))
     station.inbox.clear()
     station.run(1.9)
@@ -199,7 +199,7 @@ def test_a_reboot_is_silent_falls_and_begins_a_new_clock(
     assert station.last(mavlink.MAVLink_system_time_message).time_boot_ms < 2500
     body = station.sim.vehicle.body
     assert body.is_on_ground
-    assert body.position_enu_m[:2] == pytest.approx(place[:2], abs=0.1)
+    assert body.position_enu_m[:2] == pytest.approx(position[:2], abs=0.1)
 
 
 def test_a_scripted_reboot_happens_once() -> None:

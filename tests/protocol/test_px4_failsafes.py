@@ -65,7 +65,7 @@ def test_leaving_the_fence_starts_its_action(action: int, mode: FlightMode) -> N
     station.run_until(lambda: station.mode is not FlightMode.OFFBOARD, 15.0)
     assert station.mode is FlightMode.HOLD
     assert station.status == CRITICAL
-    assert station.place[1] == pytest.approx(30.0, abs=3.0)
+    assert station.position[1] == pytest.approx(30.0, abs=3.0)
     waited_s = station.run_until(lambda: station.mode is mode, 6.0)
     assert waited_s == pytest.approx(0.0 if mode is FlightMode.HOLD else HOLD_BEFORE_S, abs=0.1)
     assert "Failsafe: fence breached" in texts(station)
@@ -169,16 +169,16 @@ def test_sticks_take_over_from_automatic_modes_and_fly() -> None:
     station = flying(rc=RcParams(is_present=True))
     assert station.set_mode(FlightMode.POSITION) == ACCEPTED
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
-    before = station.place
+    before = station.position
     for _ in range(20):
         station.send(manual(x=800))
         station.run(0.1)
     assert station.mode is FlightMode.POSITION
-    assert station.place[0] - before[0] > 5.0
+    assert station.position[0] - before[0] > 5.0
     station.run(5.0)
-    rest = station.place
+    rest = station.position
     station.run(2.0)
-    assert station.place == pytest.approx(rest, abs=0.05)
+    assert station.position == pytest.approx(rest, abs=0.05)
 
 
 @pytest.mark.parametrize(("deflection", "speed_mps"), [(50, 0.0), (150, 1.5), (300, 3.0)])
@@ -197,11 +197,11 @@ def test_a_small_deflection_flies_slowly_once_it_leaves_the_dead_zone(
 def test_an_axis_that_a_joystick_does_not_have_is_centred() -> None:
     station = flying(rc=RcParams(is_present=True))
     assert station.set_mode(FlightMode.POSITION) == ACCEPTED
-    before = station.place
+    before = station.position
     for _ in range(20):
         station.send(manual(x=32767, y=32767, z=32767, r=32767))
         station.run(0.1)
-    assert station.place == pytest.approx(before, abs=0.3)
+    assert station.position == pytest.approx(before, abs=0.3)
 
 
 def test_offboard_is_not_overridden_by_sticks_unless_its_bit_is_set() -> None:
@@ -235,13 +235,13 @@ def test_an_estimate_that_jumps_moves_what_is_reported_and_what_is_flown() -> No
     station = flying(incidents=(EkfJump(start_s=30.0, east_m=8.0),))
     held = station.sim.vehicle.body.position_enu_m
     station.run(31.0 - station.now_s)
-    assert station.place[1] == pytest.approx(18.0, abs=0.1)
+    assert station.position[1] == pytest.approx(18.0, abs=0.1)
     assert station.sim.vehicle.body.position_enu_m == pytest.approx(held, abs=0.1)
     station.stream = lambda: local_setpoint(10.0, 10.0, -10.0)
     station.run(0.5)
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
     station.run(10.0)
-    assert station.place == pytest.approx((10.0, 10.0, -10.0), abs=0.1)
+    assert station.position == pytest.approx((10.0, 10.0, -10.0), abs=0.1)
     assert station.sim.vehicle.body.position_enu_m[0] == pytest.approx(2.0, abs=0.1)
 
 
@@ -262,6 +262,6 @@ def test_origin_and_home_move_apart_and_are_told() -> None:
     assert report.z == pytest.approx(-10.0, abs=0.01)
     station.run(2.0)
     assert station.sim.vehicle.body.position_enu_m == pytest.approx(before, abs=0.1)
-    assert station.place[2] == pytest.approx(-18.0, abs=0.1)
+    assert station.position[2] == pytest.approx(-18.0, abs=0.1)
     position = station.last(mavlink.MAVLink_global_position_int_message)
     assert position.relative_alt == pytest.approx(8000, abs=100)

@@ -18,7 +18,7 @@ POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 PORTS: tuple[Address, ...] = tuple(("127.0.0.1", port) for port in (14550, 14540, 50_123))
 LURKER: Address = ("127.0.0.1", 14_999)
-MAGIC_PLACE, MAVLINK1, MAVLINK2 = 0, 0xFE, 0xFD
+MAGIC_INDEX, MAVLINK1, MAVLINK2 = 0, 0xFE, 0xFD
 
 
 @dataclass
@@ -82,7 +82,7 @@ class Port:
 
 
 def is_of_the_vehicle(frame: bytes) -> bool:
-    ids = frame[3:5] if frame[MAGIC_PLACE] == MAVLINK1 else frame[5:7]
+    ids = frame[3:5] if frame[MAGIC_INDEX] == MAVLINK1 else frame[5:7]
     return ids == bytes((1, 1))
 
 
@@ -164,12 +164,12 @@ def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others_of_mavlink_2(
     port.run(1.0)
     port.tell(old, mavlink.MAVLink_param_request_list_message(1, 1), is_mavlink1=True)
     port.run(1.0)
-    own = [frame for frame in old.frames if frame[MAGIC_PLACE] == MAVLINK1]
+    own = [frame for frame in old.frames if frame[MAGIC_INDEX] == MAVLINK1]
     assert len(own) > 100
-    assert [frame for frame in old.frames if frame[MAGIC_PLACE] != MAVLINK1] == []
-    assert {frame[MAGIC_PLACE] for frame in modern.frames if len(frame) > 12} >= {0xFD}
+    assert [frame for frame in old.frames if frame[MAGIC_INDEX] != MAVLINK1] == []
+    assert {frame[MAGIC_INDEX] for frame in modern.frames if len(frame) > 12} >= {0xFD}
     assert not any(
-        frame[MAGIC_PLACE] == MAVLINK1 and frame[3:5] == b"\x01\x01" for frame in modern.frames
+        frame[MAGIC_INDEX] == MAVLINK1 and frame[3:5] == b"\x01\x01" for frame in modern.frames
     )
 
 

@@ -161,7 +161,7 @@ def test_global_and_local_position_agree(station: GroundStation) -> None:
     east, north, up = station.sim.vehicle.origin.enu_from_geodetic(
         report.lat / 1e7, report.lon / 1e7, report.alt / 1e3
     )
-    assert (north, east, -up) == pytest.approx(station.place, abs=0.03)
+    assert (north, east, -up) == pytest.approx(station.position, abs=0.03)
 
 
 @pytest.mark.parametrize("number", [mavlink.MAV_CMD_DO_SET_SERVO, 193 + 1000, 31010, 65535])
@@ -228,7 +228,7 @@ def test_a_rangefinder_tells_the_height_above_the_ground() -> None:
     station = GroundStation()
     station.take_off(12.0)
     told = station.last(mavlink.MAVLink_distance_sensor_message)
-    assert told.current_distance == pytest.approx(-100.0 * station.place[2], abs=15.0)
+    assert told.current_distance == pytest.approx(-100.0 * station.position[2], abs=15.0)
     assert told.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
 
 

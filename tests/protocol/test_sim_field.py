@@ -1,4 +1,4 @@
-"""A vehicle that errs about its place, and its radio, as others see them on the wire."""
+"""A vehicle that errs about its position, and its radio, as others see them on the wire."""
 
 from __future__ import annotations
 
@@ -167,22 +167,24 @@ def test_the_wind_leans_the_vehicle_and_turns_what_its_antenna_prints() -> None:
 
 
 def test_what_lags_tells_of_where_the_vehicle_was() -> None:
-    places: dict[float, tuple[float, ...]] = {}
+    positions: dict[float, tuple[float, ...]] = {}
 
     def errors_m(lag_s: float) -> np.ndarray[Any, Any]:
         payload = PayloadParams(lag_s=lag_s, rate_hz=5.0)
         fast = MulticopterParams(max_speed_mps=5.0)
         station = flying(Scenario(channel=QUIET, payload=payload, vehicle=fast))
         station.stream = lambda: local_setpoint(90.0, 10.0, -20.0)
-        places.clear()
+        positions.clear()
         station.inbox.clear()
         for _ in range(600):
             station.run(0.02)
-            places[round(station.sim.vehicle.time_s, 2)] = station.sim.vehicle.body.position_enu_m
-        known = [each for each in rangings(station) if round(each.time_usec / 1e6, 2) in places]
+            positions[round(station.sim.vehicle.time_s, 2)] = (
+                station.sim.vehicle.body.position_enu_m
+            )
+        known = [each for each in rangings(station) if round(each.time_usec / 1e6, 2) in positions]
         target = (50.0, 50.0, 0.0)
         return np.array(
-            [m.range - math.dist(places[round(m.time_usec / 1e6, 2)], target) for m in known]
+            [m.range - math.dist(positions[round(m.time_usec / 1e6, 2)], target) for m in known]
         )
 
     assert np.abs(errors_m(0.0)).max() < 1e-3

@@ -17,7 +17,7 @@ ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 WAYPOINT, TAKEOFF, LAND, RTL = 16, 22, 21, 20
 CHANGE_SPEED, JUMP = 178, 177
 Item = tuple[int, tuple[float, float, float] | None, tuple[float, float, float, float]]
-"""Command, east-north-up place above home, parameters 1 to 4."""
+"""Command, east-north-up position above home, parameters 1 to 4."""
 OUT: list[Item] = [
     (TAKEOFF, (10.0, 10.0, 10.0), (0.0, 0.0, 0.0, NAN)),
     (WAYPOINT, (40.0, 10.0, 10.0), (0.0, 0.0, 0.0, NAN)),
@@ -27,11 +27,11 @@ HOME: Item = (WAYPOINT, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, NAN))
 
 
 def message_of(item: Item, seq: int, mission_type: int = 0) -> Message:
-    command, place, params = item
+    command, position, params = item
     frame, x, y, z = 2, 0, 0, 0.0
-    if place is not None:
-        lat, lon, _ = ORIGIN.geodetic_from_enu(place)
-        frame, x, y, z = 6, round(lat * 1e7), round(lon * 1e7), place[2]
+    if position is not None:
+        lat, lon, _ = ORIGIN.geodetic_from_enu(position)
+        frame, x, y, z = 6, round(lat * 1e7), round(lon * 1e7), position[2]
     return mavlink.MAVLink_mission_item_int_message(
         1, 1, seq, frame, command, int(seq == 0), 1, *params, x, y, z, mission_type
     )
@@ -81,7 +81,7 @@ def test_every_waypoint_is_reached_in_order_and_told(flavour: FlavourName) -> No
     assert reached(station) == [first, first + 1, first + 2]
     station.run(5.0)
     assert state(station) == 5
-    assert station.place == pytest.approx((40.0, 40.0, -15.0), abs=0.5)
+    assert station.position == pytest.approx((40.0, 40.0, -15.0), abs=0.5)
     assert station.sim.vehicle.flavour.mode is (
         FlightMode.HOLD if flavour == "px4" else FlightMode.MISSION
     )
@@ -129,9 +129,9 @@ def test_a_pause_keeps_the_place_in_the_mission() -> None:
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
     station.run(5.0)
     assert state(station) == 4
-    rest = station.place
+    rest = station.position
     station.run(3.0)
-    assert station.place == pytest.approx(rest, abs=0.05)
+    assert station.position == pytest.approx(rest, abs=0.05)
     assert station.set_mode(FlightMode.MISSION) == ACCEPTED
     station.run_until(lambda: reached(station) == [0, 1, 2], 60.0)
 
@@ -155,7 +155,7 @@ def test_an_uploaded_fence_is_kept_to() -> None:
     start(station, "px4")
     station.run_until(lambda: station.status == mavlink.MAV_STATE_CRITICAL, 60.0)
     assert station.mode is FlightMode.HOLD
-    assert station.place[1] == pytest.approx(25.0, abs=2.0)
+    assert station.position[1] == pytest.approx(25.0, abs=2.0)
 
 
 def test_a_mission_survives_nothing_but_its_clearing() -> None:

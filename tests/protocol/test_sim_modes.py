@@ -98,7 +98,7 @@ def test_disarming_in_the_air_is_refused_unless_forced() -> None:
     assert station.command(ARM, 0.0, 21196.0) == ACCEPTED
     assert not station.is_armed
     station.run(3.0)
-    assert station.place[2] == pytest.approx(0.0, abs=1e-6)
+    assert station.position[2] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_takes_off_to_an_altitude_above_sea_level_and_holds(station: GroundStation) -> None:
@@ -110,7 +110,7 @@ def test_takes_off_to_an_altitude_above_sea_level_and_holds(station: GroundStati
     assert state.landed_state == mavlink.MAV_LANDED_STATE_TAKEOFF
     station.run_until(lambda: station.mode is FlightMode.HOLD, 30.0)
     station.run(5.0)
-    assert station.place == pytest.approx((10.0, 10.0, -12.0), abs=0.1)
+    assert station.position == pytest.approx((10.0, 10.0, -12.0), abs=0.1)
     state = station.last(mavlink.MAVLink_extended_sys_state_message)
     assert state.landed_state == mavlink.MAV_LANDED_STATE_IN_AIR
 
@@ -119,16 +119,16 @@ def test_takeoff_without_an_altitude_uses_the_default(station: GroundStation) ->
     assert station.command(ARM, 1.0) == ACCEPTED
     assert station.command(TAKEOFF) == ACCEPTED
     station.run(10.0)
-    assert station.place[2] == pytest.approx(-2.5, abs=0.1)
+    assert station.position[2] == pytest.approx(-2.5, abs=0.1)
 
 
 def test_takeoff_before_arming_flies_once_armed(station: GroundStation) -> None:
     assert station.command(TAKEOFF) == ACCEPTED
     station.run(1.0)
-    assert station.place[2] == 0.0
+    assert station.position[2] == 0.0
     assert station.command(ARM, 1.0) == ACCEPTED
     station.run(10.0)
-    assert station.place[2] == pytest.approx(-2.5, abs=0.1)
+    assert station.position[2] == pytest.approx(-2.5, abs=0.1)
 
 
 @pytest.mark.parametrize("altitude_m", [0.0, 488.0, 480.0, math.inf, 1e9])
@@ -143,7 +143,7 @@ def test_takeoff_as_command_int_reads_its_frame(station: GroundStation) -> None:
     assert station.command_int(TAKEOFF, terrain, z=6.0) == 9
     assert station.command_int(TAKEOFF, relative, z=6.0) == ACCEPTED
     station.run(10.0)
-    assert station.place[2] == pytest.approx(-6.0, abs=0.1)
+    assert station.position[2] == pytest.approx(-6.0, abs=0.1)
 
 
 @pytest.mark.parametrize("is_command", [True, False])
@@ -155,7 +155,7 @@ def test_lands_and_disarms_after_two_seconds_and_can_fly_again(is_command: bool)
     station.run(1.0)
     state = station.last(mavlink.MAVLink_extended_sys_state_message)
     assert state.landed_state == mavlink.MAV_LANDED_STATE_LANDING
-    station.run_until(lambda: station.place[2] == 0.0, 30.0)
+    station.run_until(lambda: station.position[2] == 0.0, 30.0)
     grounded_s = station.run_until(lambda: not station.is_armed, 5.0)
     assert grounded_s == pytest.approx(2.0, abs=0.1)
     assert station.mode is FlightMode.HOLD
@@ -170,7 +170,7 @@ def test_a_vehicle_that_is_armed_and_does_not_take_off_disarms_after_ten_seconds
     assert station.is_armed
     station.run(1.0)
     assert not station.is_armed
-    assert station.place == (10.0, 10.0, 0.0)
+    assert station.position == (10.0, 10.0, 0.0)
 
 
 @pytest.mark.slow
@@ -182,12 +182,12 @@ def test_return_climbs_flies_home_lands_and_disarms(is_command: bool) -> None:
     station.run(0.5)
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
     station.run(15.0)
-    assert station.place == pytest.approx((60.0, 40.0, -5.0), abs=0.2)
+    assert station.position == pytest.approx((60.0, 40.0, -5.0), abs=0.2)
     number = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
     result = station.command(number) if is_command else station.set_mode(FlightMode.RETURN)
     assert result == ACCEPTED
     station.run_until(lambda: not station.is_armed, 90.0)
-    assert station.place == pytest.approx((10.0, 10.0, 0.0), abs=0.5)
+    assert station.position == pytest.approx((10.0, 10.0, 0.0), abs=0.5)
     heights = [-m.z for m in station.all(mavlink.MAVLink_local_position_ned_message)]
     assert max(heights) == pytest.approx(15.0, abs=1.0)
 
@@ -202,7 +202,7 @@ def test_return_lands_in_a_strong_wind_too() -> None:
     station.run(10.0)
     assert station.set_mode(FlightMode.RETURN) == ACCEPTED
     station.run_until(lambda: not station.is_armed, 120.0)
-    assert station.place == pytest.approx((10.0, 10.0, 0.0), abs=5.0)
+    assert station.position == pytest.approx((10.0, 10.0, 0.0), abs=5.0)
 
 
 def test_offboard_on_the_ground_is_accepted_without_a_stream_but_cannot_be_armed(
@@ -220,7 +220,7 @@ def test_offboard_on_the_ground_is_accepted_without_a_stream_but_cannot_be_armed
     assert station.command(ARM, 1.0) == ACCEPTED
     station.run(10.0)
     assert station.heartbeat.base_mode == 145
-    assert station.place == pytest.approx((10.0, 10.0, -10.0), abs=0.2)
+    assert station.position == pytest.approx((10.0, 10.0, -10.0), abs=0.2)
 
 
 def test_offboard_in_the_air_without_a_stream_is_refused() -> None:
@@ -277,12 +277,12 @@ def test_hold_stops_the_vehicle_where_it_can_brake() -> None:
     station.stream = lambda: local_setpoint(500.0, 10.0, -10.0)
     station.run(5.0)
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
-    north = station.place[0]
+    north = station.position[0]
     station.run(10.0)
-    rest = station.place
+    rest = station.position
     assert north < rest[0] < north + 20.0
     station.run(5.0)
-    assert station.place == pytest.approx(rest, abs=0.05)
+    assert station.position == pytest.approx(rest, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_flies_to_a_local_position_without_much_overshoot(station: GroundStation
     station.inbox.clear()
     station.stream = lambda: local_setpoint(40.0, 70.0, -20.0)
     station.run(30.0)
-    assert station.place == pytest.approx((40.0, 70.0, -20.0), abs=0.1)
+    assert station.position == pytest.approx((40.0, 70.0, -20.0), abs=0.1)
     easts = [m.y for m in station.all(mavlink.MAVLink_local_position_ned_message)]
     assert max(easts) < 71.5
 
@@ -99,7 +99,7 @@ def test_flies_a_velocity_in_north_east_down(station: GroundStation) -> None:
 def test_flies_to_a_global_position(station: GroundStation, setpoint: Message) -> None:
     station.stream = lambda: setpoint
     station.run(20.0)
-    assert station.place == pytest.approx((20.0, 30.0, -12.0), abs=0.1)
+    assert station.position == pytest.approx((20.0, 30.0, -12.0), abs=0.1)
 
 
 def test_flies_an_acceleration_as_px4_does(station: GroundStation) -> None:
@@ -229,9 +229,9 @@ def test_without_sticks_position_mode_sinks() -> None:
     station.fly_offboard()
     station.stream = None
     station.run(2.0)
-    down = station.place[2]
+    down = station.position[2]
     station.run(3.0)
-    assert 0.6 <= (station.place[2] - down) / 3.0 <= 0.9
+    assert 0.6 <= (station.position[2] - down) / 3.0 <= 0.9
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ PARTLY_INVALID = {
         (30.0, 20.0, 12.0), mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, NAN
     ),
 }
-"""What PX4 accepts, and holds its place by."""
+"""Setpoints that PX4 accepts, and holds its position by."""
 INVALID = {
     "all masked": local_setpoint(mask=0xFDFF),
     "everything masked": local_setpoint(mask=0xFFFF),
@@ -285,12 +285,12 @@ INVALID = {
 def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
     station: GroundStation, name: str
 ) -> None:
-    before = station.place
+    before = station.position
     station.stream = lambda: INVALID[name]
     station.run(2.0)
     assert station.mode is FlightMode.POSITION  # the default of COM_OBL_RC_ACT, 0
     assert station.status == CRITICAL
-    assert station.place[:2] == pytest.approx(before[:2], abs=0.3)
+    assert station.position[:2] == pytest.approx(before[:2], abs=0.3)
 
 
 @pytest.mark.slow
@@ -298,58 +298,58 @@ def test_an_invalid_setpoint_is_no_proof_of_life_and_moves_nothing(
 def test_a_setpoint_with_a_part_that_is_no_number_holds_the_place(
     station: GroundStation, name: str
 ) -> None:
-    before = station.place
+    before = station.position
     station.stream = lambda: PARTLY_INVALID[name]
     station.run(2.0)
     assert station.mode is FlightMode.OFFBOARD
-    assert station.place == pytest.approx(before, abs=0.3)
+    assert station.position == pytest.approx(before, abs=0.3)
 
 
 @pytest.mark.parametrize("mask", [dialect.POSITION_ONLY | 4, dialect.POSITION_ONLY | 1])
 def test_a_setpoint_without_all_axes_keeps_offboard_and_stays_in_place(
     station: GroundStation, mask: int
 ) -> None:
-    before = station.place
+    before = station.position
     station.stream = lambda: local_setpoint(90.0, 90.0, -50.0, mask=mask)
     station.run(5.0)
     assert station.mode is FlightMode.OFFBOARD
-    assert station.place == pytest.approx(before, abs=0.3)
+    assert station.position == pytest.approx(before, abs=0.3)
 
 
 @pytest.mark.parametrize("axis", [dialect.X_IGNORE, dialect.Y_IGNORE, dialect.Z_IGNORE])
 def test_a_global_setpoint_without_all_axes_gives_no_position(
     station: GroundStation, axis: int
 ) -> None:
-    before = station.place
+    before = station.position
     setpoint = global_setpoint((90.0, 90.0, 50.0))
     assert isinstance(setpoint, mavlink.MAVLink_set_position_target_global_int_message)
     setpoint.type_mask = 0x0DC0 | axis
     station.stream = lambda: setpoint
     station.run(5.0)
     assert station.mode is FlightMode.OFFBOARD
-    assert station.place == pytest.approx(before, abs=0.3)
+    assert station.position == pytest.approx(before, abs=0.3)
 
 
 def test_a_broadcast_setpoint_is_obeyed(station: GroundStation) -> None:
     station.stream = lambda: local_setpoint(20.0, system=0, component=0)
     station.run(10.0)
-    assert station.place[0] == pytest.approx(20.0, abs=0.1)
+    assert station.position[0] == pytest.approx(20.0, abs=0.1)
 
 
 def test_setpoints_outside_offboard_move_nothing() -> None:
     station = GroundStation()
     station.take_off()
-    before = station.place
+    before = station.position
     station.stream = lambda: local_setpoint(90.0, 90.0, -50.0)
     station.run(5.0)
-    assert station.place == pytest.approx(before, abs=0.1)
+    assert station.position == pytest.approx(before, abs=0.1)
 
 
 @pytest.mark.slow
 def test_a_setpoint_under_the_ground_neither_lands_nor_disarms(station: GroundStation) -> None:
     station.stream = lambda: local_setpoint(z=20.0)
     station.run(30.0)
-    assert station.place[2] == 0.0
+    assert station.position[2] == 0.0
     assert station.is_armed
     assert station.mode is FlightMode.OFFBOARD
 

@@ -43,7 +43,7 @@ from tools.study.walk import (
     WalkFilter,
     WalkSteering,
     first_fix,
-    next_place,
+    next_position,
     updated,
 )
 
@@ -167,8 +167,8 @@ def filterpy_seconds(walk: Walk) -> Seconds:
     ekf.x, ekf.P, ekf.F, ekf.Q = mean, covariance, np.eye(4), np.zeros((4, 4))
     ekf.R = np.diag(walk.belief.sigma[:2] ** 2)
     predicting = updating = 0.0
-    for place, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:, :2], strict=True):
-        at = tuple(place)
+    for position, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:, :2], strict=True):
+        at = tuple(position)
         begun = perf_counter()
         ekf.predict()
         predicted = perf_counter()
@@ -190,20 +190,20 @@ def retraced(
         z: (steps, 3) its measurements.
         picks: (steps,) draws of its planner.
     """
-    places = track_enu_m[1:].copy()
+    positions = track_enu_m[1:].copy()
     sensor, latch = np.zeros(3), NO_LATCH
     sensor[:2] = track_enu_m[0]
     mean, covariance = first_fix(sensor[0], sensor[1], z[0, 0], z[0, 1], belief)
     if steering.planner != FIXED:
-        _, _, latch = next_place(sensor, mean, covariance, picks[0], latch, belief, steering)
+        _, _, latch = next_position(sensor, mean, covariance, picks[0], latch, belief, steering)
     for step in range(1, z.shape[0]):
         sensor[0], sensor[1] = track_enu_m[step, 0], track_enu_m[step, 1]
         mean, covariance = updated(mean, covariance, sensor, z[step], belief)
         if steering.planner != FIXED:
-            places[step - 1, 0], places[step - 1, 1], latch = next_place(
+            positions[step - 1, 0], positions[step - 1, 1], latch = next_position(
                 sensor, mean, covariance, picks[step], latch, belief, steering
             )
-    return mean, places
+    return mean, positions
 
 
 def step_seconds(walk: Walk, clock: Callable[[], float]) -> float:
@@ -218,12 +218,12 @@ def object_seconds(walk: Walk) -> Seconds:
     target_filter = recursive_filter_of(walk.case, SYSTEM)
     state = FilterState.of(0.0, *walk.first_fix())
     seen = [
-        ((*place, 0.0), RangingMeasurement(1, 0.0, range_m=z[0], bearing_enu_rad=z[1]))
-        for place, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:].tolist(), strict=True)
+        ((*position, 0.0), RangingMeasurement(1, 0.0, range_m=z[0], bearing_enu_rad=z[1]))
+        for position, z in zip(walk.track_enu_m[1:].tolist(), walk.z[1:].tolist(), strict=True)
     ]
     begun = perf_counter()
-    for place, measurement in seen:
-        state = target_filter.update(state, measurement, place).state
+    for position, measurement in seen:
+        state = target_filter.update(state, measurement, position).state
     return {OBJECT: (perf_counter() - begun) / len(seen)}
 
 

@@ -7,7 +7,7 @@ so that other programs on the machine do not count. A setpoint can leave between
 longest call is the longest that a due setpoint waits.
 
 Each case runs in a process of its own, with kernels that `companion warm-up` compiled, as a flight
-does: `tools/benches/tick_bench.py EMITTERS PHASE PLACE SECONDS` prints its figures as JSON. It
+does: `tools/benches/tick_bench.py EMITTERS PHASE STATE SECONDS` prints its figures as JSON. It
 imports only modules of companion and simulator, so that the same file measures an earlier release
 in its own checkout (`--beside`).
 """
@@ -52,7 +52,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """Runs this file with kernels that were compiled ahead; 1.0.0rc1 compiles them in the process."""
 EMITTERS = (1, 4, 8, 16)
 PHASES = ("in step", "spread")
-PLACES = ("flying", "ground")
+STATES = ("flying", "ground")
 RATE_HZ = 10.0
 LIMIT_MS = {"compiled": 10.0, "plain": 25.0}
 SEED = 7
@@ -142,9 +142,9 @@ class Timed:
         (self.ticks_s if is_tick else self.others_s).append(took_s)
 
 
-def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
+def measure(emitters: int, phase: str, state: str, seconds: float) -> TickCost:
     """Fly one case in this process."""
-    is_flying = place == "flying"
+    is_flying = state == "flying"
     several = tuple(
         EmitterParams(
             emitter_id=7 + n, position_enu_m=(25.0 + 20.0 * (n % 4), 30.0 + 55.0 * (n // 4) / 3.0)
@@ -186,23 +186,23 @@ def measure(emitters: int, phase: str, place: str, seconds: float) -> TickCost:
 
 @dataclass(frozen=True, slots=True)
 class TickCase:
-    """Number of emitters, timing, place and kernels of a case."""
+    """Number of emitters, timing, state of flight and kernels of a case."""
 
     kernels: str
-    place: str
+    state: str
     emitters: int
     phase: str
 
     @property
     def title(self) -> str:
         """The case in words."""
-        return f"{self.kernels}, {self.place}, {self.emitters} {self.phase}"
+        return f"{self.kernels}, {self.state}, {self.emitters} {self.phase}"
 
     def measured(self, root: Path, seconds: float) -> TickCost:
         """Fly it in a separate process, with the code of a checkout."""
         environment = {**os.environ, "PYTHONPATH": str(root)}
         environment["NUMBA_DISABLE_JIT"] = "0" if self.kernels == "compiled" else "1"
-        words = (str(self.emitters), self.phase, self.place, str(seconds))
+        words = (str(self.emitters), self.phase, self.state, str(seconds))
         command = [sys.executable, "-P", "-c", AS_IN_FLIGHT, __file__, *words]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:
@@ -213,10 +213,10 @@ class TickCase:
 def tick_cases(kinds: Sequence[str], counts: Sequence[int]) -> Iterator[TickCase]:
     """Yield every case, those with the same kernels together."""
     for kernels in kinds:
-        for place in PLACES:
+        for state in STATES:
             for emitters in counts:
                 for phase in PHASES if emitters > 1 else PHASES[:1]:
-                    yield TickCase(kernels, place, emitters, phase)
+                    yield TickCase(kernels, state, emitters, phase)
 
 
 if __name__ == "__main__":

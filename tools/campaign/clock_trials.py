@@ -67,8 +67,8 @@ def fly(trial: Trial) -> TrialOutcome:
         farthest_m = max(farthest_m, abs(east_m), abs(north_m))
     error_m = math.inf
     if notes.results:
-        place_m = notes.results[0][1].estimate.position_enu_m
-        error_m = math.dist(place_m, scenario.emitter.position_enu_m)
+        position_m = notes.results[0][1].estimate.position_enu_m
+        error_m = math.dist(position_m, scenario.emitter.position_enu_m)
     hold_s = max(holds_s(notes.texts, flight.now_s), default=0.0)
     most = {"clock_hold_s": hold_s, "clock_farthest_m": farthest_m}
     return TrialOutcome(

@@ -125,7 +125,7 @@ class ReactionWatch(Observer):
         self.heard_s = 0.0
         self.moved_s = 0.0
         self.lost_s: float | None = None
-        self._place: PositionEnu | None = None
+        self._position: PositionEnu | None = None
 
     def heard(self, frame: Frame) -> None:
         """Note a frame of the autopilot."""
@@ -140,12 +140,12 @@ class ReactionWatch(Observer):
         message = frame.message
         if not isinstance(message, mavlink.MAVLink_set_position_target_local_ned_message):
             return
-        place = (message.x, message.y, message.z)
-        if self._place is not None:
-            step = max(abs(a - b) for a, b in zip(place, self._place, strict=True))
+        position = (message.x, message.y, message.z)
+        if self._position is not None:
+            step = max(abs(a - b) for a, b in zip(position, self._position, strict=True))
             if step > STILL_M:
                 self.moved_s = frame.time_s
-        self._place = place
+        self._position = position
 
     def noted(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Take a journal entry of the companion."""

@@ -89,9 +89,9 @@ def _starts(store: MemoryStore, damaged: list[dict[int, bytes]]) -> list[str]:
 
 
 def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
-    """Return damaged checkpoints: the larger one alone, cut or flipped at seeded places.
+    """Return damaged checkpoints: the larger one alone, cut or flipped at seeded offsets.
 
-    Consecutive seeds take consecutive places, so that a campaign reaches every byte.
+    Consecutive seeds take consecutive offsets, so that a campaign reaches every byte.
     """
     if not store.slots:
         return []
@@ -99,12 +99,12 @@ def damages(store: MemoryStore, seed: int) -> list[dict[int, bytes]]:
     number, data = max(store.slots.items(), key=lambda item: len(item[1]))
     damaged = []
     for count in range(CUTS_PER_TRIAL):
-        place = (seed * CUTS_PER_TRIAL + count) % len(data)
+        offset = (seed * CUTS_PER_TRIAL + count) % len(data)
         if count % 2:
-            broken = data[:place]
+            broken = data[:offset]
         else:
-            flipped = data[place] ^ 1 << int(rng.integers(8))
-            broken = data[:place] + bytes((flipped,)) + data[place + 1 :]
+            flipped = data[offset] ^ 1 << int(rng.integers(8))
+            broken = data[:offset] + bytes((flipped,)) + data[offset + 1 :]
         damaged.append({number: broken})
     return damaged
 

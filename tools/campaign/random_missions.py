@@ -1,6 +1,6 @@
 """Random missions with one to four faults each, and pilot overrides at random instants.
 
-A random mission is place, vehicle, weather, link, companion, faults and people, all from one seed.
+A random mission is site, vehicle, weather, link, companion, faults and people, all from one seed.
 After an override nothing may be sent once the frame that shows it has arrived.
 """
 
@@ -37,8 +37,8 @@ def fields_of(fault: FaultRecord) -> dict[str, object]:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A fence, its keep-outs, and the positions of people."""
+class Site:
+    """A fence, its keep-outs, the start, and the area of the emitter."""
 
     name: str
     fence_enu_m: Corners
@@ -53,22 +53,22 @@ WEDGE: Corners = ((-25, -25), (120, -10), (40, 50), (-10, 120))
 MASTS = (box(38, 20, 46, 34), ((60, 60), (75, 62), (66, 78)), box(20, 70, 24, 74))
 
 
-PLACES = (
-    Place("field", box(-40, -40, 110, 110), (), (10, 10), (-45, -45, 115, 115)),
-    Place("close", box(-15, -15, 60, 60), (), (10, 10), (-10, -10, 70, 70)),
-    Place("notch", NOTCH, (), (10, 10), (-15, -15, 95, 95)),
-    Place("masts", box(-30, -30, 110, 110), MASTS, (10, 10), (0, 0, 100, 100)),
-    Place("wedge", WEDGE, (), (5, 5), (-20, -20, 110, 110)),
-    Place("strip", box(-20, -20, 140, 25), (), (0, 0), (10, -25, 150, 30)),
+SITES = (
+    Site("field", box(-40, -40, 110, 110), (), (10, 10), (-45, -45, 115, 115)),
+    Site("close", box(-15, -15, 60, 60), (), (10, 10), (-10, -10, 70, 70)),
+    Site("notch", NOTCH, (), (10, 10), (-15, -15, 95, 95)),
+    Site("masts", box(-30, -30, 110, 110), MASTS, (10, 10), (0, 0, 100, 100)),
+    Site("wedge", WEDGE, (), (5, 5), (-20, -20, 110, 110)),
+    Site("strip", box(-20, -20, 140, 25), (), (0, 0), (10, -25, 150, 30)),
 )
 
 
-def emitter_of(place: Place, rng: np.random.Generator) -> tuple[float, float]:
+def emitter_of(site: Site, rng: np.random.Generator) -> tuple[float, float]:
     """Return a position in its box, away from the vehicle."""
-    west, south, east, north = place.emitter_box_m
+    west, south, east, north = site.emitter_box_m
     while True:
         e, n = float(rng.uniform(west, east)), float(rng.uniform(south, north))
-        if math.dist((e, n), place.start_enu_m) > 8.0:
+        if math.dist((e, n), site.start_enu_m) > 8.0:
             return e, n
 
 
@@ -99,7 +99,7 @@ class MissionCase:
     """All parameters of one random mission."""
 
     seed: int
-    place: Place
+    site: Site
     config: schema.CompanionConfig
     scenario: Scenario
     schedule: Schedule
@@ -114,7 +114,7 @@ class MissionCase:
         speed = math.hypot(wind.east_mps, wind.north_mps)
         limits = self.config.limits
         return (
-            f"{flavour}, {self.place.name}, {self.config.planner.flown}, {limits.speed_mps:g} m/s, "
+            f"{flavour}, {self.site.name}, {self.config.planner.flown}, {limits.speed_mps:g} m/s, "
             f"wind {speed:.0f} m/s, {self.config.vehicle.setpoint}"
             f"{', signed' if self.is_signed else ''}{', operated' if self.is_operated else ''}"
         )
@@ -124,11 +124,11 @@ def mission_case(seed: int) -> MissionCase:
     """Return the mission of a seed."""
     rng = np.random.default_rng((seed, 0xF11))
     dice = flights.Dice(rng)
-    place = dice.one(PLACES)
+    site = dice.one(SITES)
     flavour = dice.flavour()
-    scenario = _scenario(dice, place, emitter_of(place, rng), flavour)
+    scenario = _scenario(dice, site, emitter_of(site, rng), flavour)
     is_operated = dice.happens(OPERATED_SHARE)
-    config = _config(dice, place, is_operated=is_operated)
+    config = _config(dice, site, is_operated=is_operated)
     if config.search.detection is not None:
         payload = msgspec.structs.replace(scenario.payload, max_range_m=REACH_M)
         scenario = msgspec.structs.replace(scenario, payload=payload)
@@ -142,16 +142,16 @@ def mission_case(seed: int) -> MissionCase:
     )
     schedule = Schedule(faults=(*delays, *faults))
     regrant_s = dice.number(15.0, 40.0) if dice.happens(0.5) else None
-    return MissionCase(seed, place, config, scenario, schedule, is_signed, is_operated, regrant_s)
+    return MissionCase(seed, site, config, scenario, schedule, is_signed, is_operated, regrant_s)
 
 
 def _scenario(
-    dice: flights.Dice, place: Place, emitter: tuple[float, float], flavour: FlavourName
+    dice: flights.Dice, site: Site, emitter: tuple[float, float], flavour: FlavourName
 ) -> Scenario:
     heading = dice.number(-math.pi, math.pi)
     wind_mps = dice.one((0.0, dice.number(0.0, WIND_MPS), WIND_MPS))
     return Scenario(
-        start_enu_m=place.start_enu_m,
+        start_enu_m=site.start_enu_m,
         emitter=EmitterParams(position_enu_m=emitter),
         autopilot=AutopilotParams(flavour=flavour),
         vehicle=MulticopterParams(max_speed_mps=12.0),
@@ -163,10 +163,10 @@ def _scenario(
     )
 
 
-def _config(dice: flights.Dice, place: Place, *, is_operated: bool) -> schema.CompanionConfig:
+def _config(dice: flights.Dice, site: Site, *, is_operated: bool) -> schema.CompanionConfig:
     limits = schema.LimitsConfig(
-        fence_enu_m=place.fence_enu_m,
-        keep_out_enu_m=place.keep_out_enu_m,
+        fence_enu_m=site.fence_enu_m,
+        keep_out_enu_m=site.keep_out_enu_m,
         speed_mps=dice.one(SPEEDS_MPS),
         altitude_max_m=40.0,
     )

@@ -40,13 +40,13 @@ def main() -> int:
     lines = sorted(f"{part['name']} {part['version']}: {licence_of(part)}" for part in parts)
     LICENCES.write_text("\n".join(lines) + "\n")
     print(f"{PARTS}: {len(parts)} parts\n{LICENCES}")
-    (place,) = ENVIRONMENT.glob("lib/python3.*/site-packages")
-    return audit(beside / "pip-audit", place, sys.argv[1:])
+    (packages,) = ENVIRONMENT.glob("lib/python3.*/site-packages")
+    return audit(beside / "pip-audit", packages, sys.argv[1:])
 
 
-def audit(program: Path, place: Path, options: Sequence[str] = ()) -> int:
+def audit(program: Path, packages: Path, options: Sequence[str] = ()) -> int:
     """Print known vulnerabilities; return 1 if there are any or the query failed."""
-    command = [str(program), "--path", str(place), "--progress-spinner=off", "--format=json"]
+    command = [str(program), "--path", str(packages), "--progress-spinner=off", "--format=json"]
     asked = subprocess.run([*command, *options], check=False, capture_output=True, text=True)
     if not asked.stdout:
         print(f"not looked up: {(asked.stderr.splitlines() or ['pip-audit says nothing'])[-1]}")

@@ -100,17 +100,17 @@ def lay_out_environment(tree: Path, architecture: str, own: Path, cache: Path) -
     settings = "home = /usr/bin\ninclude-system-site-packages = false\n"
     (tree / HOME / "pyvenv.cfg").write_text(settings)
     for version in PYTHONS:
-        place = tree / HOME / f"lib/python{version}/site-packages"
-        place.mkdir(parents=True)
-        (place / "shared.pth").write_text(f"/{SHARED}\n")
+        folder = tree / HOME / f"lib/python{version}/site-packages"
+        folder.mkdir(parents=True)
+        (folder / "shared.pth").write_text(f"/{SHARED}\n")
         kernels = kernels_for(version, own) if architecture == native_architecture() else None
         if kernels is None:
             print(f"make_deb: Python {version} gets kernels in plain Python", file=sys.stderr)
         else:
-            shutil.copytree(kernels, place / kernels.name)
+            shutil.copytree(kernels, folder / kernels.name)
         for wheel in fetch_wheels(version, architecture, own, cache / version):
             is_pure = wheel.name.endswith("-none-any.whl")
-            unpack(wheel, tree / SHARED if is_pure else place)
+            unpack(wheel, tree / SHARED if is_pure else folder)
     for command, module in COMMANDS.items():
         script = binaries / command
         script.write_text(
@@ -152,9 +152,9 @@ def other_python(version: str) -> str | None:
 
 def environment_for(program: str, version: str, own: Path) -> str:
     """Return the interpreter of an environment of another Python, with the tools for compiling."""
-    place = ROOT / f"build/kernels/python{version}"
-    python = str(place / "bin/python")
-    subprocess.run([program, "-m", "venv", "--clear", str(place)], check=True)
+    folder = ROOT / f"build/kernels/python{version}"
+    python = str(folder / "bin/python")
+    subprocess.run([program, "-m", "venv", "--clear", str(folder)], check=True)
     files = (f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}")
     wanted = (f"companion-guidance=={__version__}", "numba", "setuptools")
     pip = (python, "-m", "pip", "install", "--quiet", *files, *wanted)
@@ -162,22 +162,22 @@ def environment_for(program: str, version: str, own: Path) -> str:
     return python
 
 
-def fetch_wheels(version: str, architecture: str, own: Path, place: Path) -> list[Path]:
+def fetch_wheels(version: str, architecture: str, own: Path, folder: Path) -> list[Path]:
     """Return binary wheels of the pinned versions; pip caches its downloads."""
-    shutil.rmtree(place, ignore_errors=True)
+    shutil.rmtree(folder, ignore_errors=True)
     platforms = [f"--platform=manylinux{libc}_{MACHINES[architecture]}" for libc in GLIBCS]
     options = ["--only-binary=:all:", "--implementation=cp", f"--python-version={version}"]
     files = [f"--find-links={own}", f"--constraint={PACKAGING / 'constraints.txt'}"]
-    pip = [sys.executable, "-m", "pip", "download", "--quiet", f"--dest={place}"]
+    pip = [sys.executable, "-m", "pip", "download", "--quiet", f"--dest={folder}"]
     subprocess.run([*pip, *options, *platforms, *files, *EXTRAS], check=True)
-    return sorted(place.glob("*.whl"))
+    return sorted(folder.glob("*.whl"))
 
 
-def unpack(wheel: Path, place: Path) -> None:
+def unpack(wheel: Path, folder: Path) -> None:
     """Unpack a wheel's modules; its scripts and headers are not needed."""
     with zipfile.ZipFile(wheel) as archive:
         members = [name for name in archive.namelist() if ".data/" not in name]
-        archive.extractall(place, members)
+        archive.extractall(folder, members)
 
 
 def lay_out_system(tree: Path) -> None:
@@ -220,10 +220,10 @@ def compress(text: str, target: Path) -> None:
 
 def write_control(tree: Path, architecture: str) -> None:
     """Write the package's control files and the sums of all others, sorted by name."""
-    place = tree / "DEBIAN"
+    folder = tree / "DEBIAN"
     files = sorted(path for path in tree.rglob("*") if path.is_file() and not path.is_symlink())
     size_kb = sum(-(-path.stat().st_size // 1024) for path in files)
-    place.mkdir()
+    folder.mkdir()
     control = (PACKAGING / "debian/control").read_text()
     for name, value in (
         ("VERSION", debian_version(__version__)),
@@ -231,17 +231,17 @@ def write_control(tree: Path, architecture: str) -> None:
         ("SIZE_KB", size_kb),
     ):
         control = control.replace(f"@{name}@", str(value))
-    (place / "control").write_text(control)
-    (place / "conffiles").write_text("".join(f"/{name}\n" for name in CONFFILES))
+    (folder / "control").write_text(control)
+    (folder / "conffiles").write_text("".join(f"/{name}\n" for name in CONFFILES))
     sums = (
         f"{hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest()}  "
         f"{path.relative_to(tree)}\n"
         for path in files
     )
-    (place / "md5sums").write_text("".join(sums))
+    (folder / "md5sums").write_text("".join(sums))
     for script in ("postinst", "prerm", "postrm"):
-        put(PACKAGING / "debian" / script, place / script)
-        (place / script).chmod(0o755)
+        put(PACKAGING / "debian" / script, folder / script)
+        (folder / script).chmod(0o755)
 
 
 def build(tree: Path, output: Path, architecture: str) -> Path:

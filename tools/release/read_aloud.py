@@ -35,7 +35,7 @@ SUFFIXES = {".py", ".yaml", ".md", ".toml", ".html", ".js"}
 class Docstring(NamedTuple):
     """Docstring of a module, class, function, attribute or constant."""
 
-    place: str
+    location: str
     name: str
     text: str
 
@@ -60,9 +60,9 @@ def docstrings() -> Iterator[Docstring]:
                         and isinstance(each.value, ast.Constant)
                         and isinstance(each.value.value, str)
                     ):
-                        place = f"{path.relative_to(ROOT)}:{each.lineno}"
+                        location = f"{path.relative_to(ROOT)}:{each.lineno}"
                         name = _name_of(statements[index - 1] if index else node)
-                        yield Docstring(place, name, inspect.cleandoc(each.value.value))
+                        yield Docstring(location, name, inspect.cleandoc(each.value.value))
 
 
 def _name_of(node: ast.AST) -> str:
@@ -84,7 +84,7 @@ def findings() -> dict[str, list[str]]:
     """Return the lines that the check counts, with their positions."""
     return {
         "wh-clauses": [
-            f"{each.place}: {each.text.splitlines()[0]}"
+            f"{each.location}: {each.text.splitlines()[0]}"
             for each in docstrings()
             if WH_CLAUSE.match(each.text)
         ],
@@ -111,7 +111,7 @@ def main() -> int:
         return int(any(len(lines) > LIMITS[kind] for kind, lines in found.items()))
     draw = random.Random(options.seed)
     for each in draw.sample(list(docstrings()), 60):
-        print(f"{each.place} {each.name}\n    " + each.text.replace("\n", "\n    "))
+        print(f"{each.location} {each.name}\n    " + each.text.replace("\n", "\n    "))
     print(*draw.sample(operator_texts(), 40), sep="\n")
     return 0
 

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OF_ROOT = ("CHANGELOG.md", "CONTRIBUTING.md")
 OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?P<path>[^)]*)\)")
 INTO_DOCS = re.compile(r"\]\(docs/")
-BY_FILE = re.compile(r"\[(?:[\w-]+/)*[\w-]+\.md\]\((?P<path>[\w/.-]+\.md)(?P<place>#[^)]*)?\)")
+BY_FILE = re.compile(r"\[(?:[\w-]+/)*[\w-]+\.md\]\((?P<path>[\w/.-]+\.md)(?P<anchor>#[^)]*)?\)")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -44,7 +44,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
         """Return a link with the name of its page, if it has one."""
         path = posixpath.normpath(posixpath.join(posixpath.dirname(here), link["path"]))
         name = names.get(path)
-        return link[0] if name is None else f"[{name}]({link['path']}{link['place'] or ''})"
+        return link[0] if name is None else f"[{name}]({link['path']}{link['anchor'] or ''})"
 
     return BY_FILE.sub(named, markdown)
 

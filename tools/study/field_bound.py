@@ -60,8 +60,8 @@ def flown(task: FieldFlight) -> tuple[Matrix, Vector]:
                 rows.append((flight.now_s, *body.position_enu_m, *body.attitude))
                 estimate, bias = flight.companion.session.estimate, vehicle.estimator.bias_enu_m
                 shown_m = (truth[0] + bias[0], truth[1] + bias[1])
-                place = None if estimate is None else estimate.position_enu_m
-                errors_m.append(math.nan if place is None else math.dist(place, shown_m))
+                position = None if estimate is None else estimate.position_enu_m
+                errors_m.append(math.nan if position is None else math.dist(position, shown_m))
     return np.array(rows), np.array(errors_m)
 
 
@@ -84,21 +84,21 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
     step_sigma_m = in_the_field(channel).range_step_m / math.sqrt(12.0)
     partials, sigmas, about = [], [], []
     for time_s, east, north, up, *angles in way.tolist():
-        place, attitude = (east, north, up), EulerAngles(*angles)
-        away = truth - place
+        position, attitude = (east, north, up), EulerAngles(*angles)
+        away = truth - position
         if scenario.payload.measures != "bearing":
             partials.append([*(away / np.linalg.norm(away)), 0.0, 1.0])
             sigmas.append(math.hypot(channel.range_sigma_m, step_sigma_m))
-            about.append((time_s, *place, 0.0))
+            about.append((time_s, *position, 0.0))
         if scenario.payload.measures == "range":
             continue
-        u = seen_by_antenna(direction_enu(place, tuple(truth)), attitude, antenna, 0.0)
+        u = seen_by_antenna(direction_enu(position, tuple(truth)), attitude, antenna, 0.0)
         values = np.array(directions(u, antenna))
         columns = []
         for which in range(4):
             moved = truth + STEP * np.eye(4, 3)[which]
             turn_rad = STEP if which == COMPASS else 0.0
-            there = direction_enu(place, tuple(moved))
+            there = direction_enu(position, tuple(moved))
             seen = directions(seen_by_antenna(there, attitude, antenna, turn_rad), antenna)
             columns.append((np.array(seen) - values) / STEP if len(seen) == len(values) else None)
         if any(column is None for column in columns):
@@ -108,7 +108,7 @@ def linearised(way: Matrix, scenario: Scenario) -> tuple[Matrix, Vector, Matrix]
         for row in range(len(values)):
             partials.append([*(flat * float(c[row]) for c in columns if c is not None), 0.0])
             sigmas.append(sigma_rad)
-            about.append((time_s, *place, 1.0 + row))
+            about.append((time_s, *position, 1.0 + row))
     return np.array(partials), np.array(sigmas), np.array(about)
 
 

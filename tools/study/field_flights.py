@@ -1,7 +1,7 @@
 """Flights of the whole companion among true radios: its reports, and their errors.
 
 Companion and vehicle are joined in memory. A flight ends with the report, or at the time limit.
-Seeds vary not only the noise, so that nothing is fitted to one place: the emitter lies anywhere in
+Seeds vary not only the noise, so that nothing is fitted to one site: the emitter lies anywhere in
 a ring about home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
 compass and mount are uniform, with the scenario's figure as root mean square (of the range, which
 is never too short: between 0 and twice the figure); the wind turns. All planners and configurations
@@ -119,13 +119,13 @@ def _drawn(scenario: Scenario, grid: FlightGrid, seed: int) -> Scenario:
     high, compass, mount = rng.uniform(-1.0, 1.0, 3).tolist()
     emitter, channel, wind = scenario.emitter, scenario.channel, scenario.wind
     (east, north), root3 = scenario.start_enu_m, math.sqrt(3.0)
-    place = (east + way_m * math.cos(course), north + way_m * math.sin(course))
+    drawn = (east + way_m * math.cos(course), north + way_m * math.sin(course))
     cos, sin = math.cos(turn), math.sin(turn)
     navigation = scenario.navigation
     return change(
         scenario,
         emitter=change(
-            emitter, position_enu_m=place, height_m=emitter.height_m + high * grid.height_spread_m
+            emitter, position_enu_m=drawn, height_m=emitter.height_m + high * grid.height_spread_m
         ),
         channel=change(
             channel,
@@ -162,7 +162,7 @@ def _flown(task: FieldFlight) -> FlightRow:
     vehicle, truth = flight.sim.vehicle, task.scenario.emitter.position_enu_m
     east, north, _ = vehicle.estimator.bias_enu_m
     shown = (truth[0] + east, truth[1] + north)
-    place = None if estimate is None else estimate.position_enu_m
+    position = None if estimate is None else estimate.position_enu_m
     return FlightRow(
         radio=task.radio,
         config=task.config_kind,
@@ -171,8 +171,8 @@ def _flown(task: FieldFlight) -> FlightRow:
         is_reported=bool(notes.results),
         time_s=flight.now_s - engaged_s,
         state=None if estimate is None else estimate.state.value,
-        error_m=None if place is None else math.dist(place, shown),
-        absolute_error_m=None if place is None else math.dist(place, truth),
+        error_m=None if position is None else math.dist(position, shown),
+        absolute_error_m=None if position is None else math.dist(position, truth),
         r95_m=None if estimate is None else estimate.r95_m,
         absolute_r95_m=None if estimate is None else estimate.absolute_r95_m,
         east_m=truth[0],

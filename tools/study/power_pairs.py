@@ -2,8 +2,8 @@
 
 Both flights of a pair meet the same emitter, walls, wind and noise: a phone that answers Wi-Fi
 round-trip requests, as in the field study. One is configured by the radio's preset, the other also
-with the power at 1 m, which is wrong by up to 10 dB. Powers stay with the place as much as ranges
-do, and fade from frame to frame.
+with the power at 1 m, which is wrong by up to 10 dB. Shadowing stays with the position
+like errors of ranges; fading changes from frame to frame.
 """
 
 from __future__ import annotations

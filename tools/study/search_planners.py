@@ -54,13 +54,13 @@ class Planned:
         self._outlook: Outlook | None = None
         self._age_s = math.inf
 
-    def goal(self, place: Point, area: SearchedArea) -> Point:
+    def goal(self, at: Point, area: SearchedArea) -> Point:
         """Return the waypoint."""
         self._age_s += STEP_S
         if self._uses_map and self._age_s >= MAP_EVERY_S:
             area.renew()
             self._outlook, self._age_s = outlook_of(area), 0.0
-        request = PlanRequest(place, None, FENCE, MARGIN_M, home_enu_m=HOME, outlook=self._outlook)
+        request = PlanRequest(at, None, FENCE, MARGIN_M, home_enu_m=HOME, outlook=self._outlook)
         for _ in range(PLANS_A_STEP):
             plan = self._planner.plan(request, self._memory)
             self._memory = plan.memory
@@ -94,10 +94,10 @@ class StoneSoup:
         )
         self._table = table
 
-    def goal(self, place: Point, area: SearchedArea) -> Point:
+    def goal(self, at: Point, area: SearchedArea) -> Point:
         """Return the end of the present move, or of the next one."""
-        goal = self._place(self._movable.position)
-        if math.dist(place, goal) > 1e-6:
+        goal = self._point(self._movable.position)
+        if math.dist(at, goal) > 1e-6:
             return goal
         area.renew()
         self._outlook = outlook_of(area)
@@ -106,19 +106,19 @@ class StoneSoup:
         for actions in chosen[0].values():
             self._movable.add_actions(actions)
         self._movable.move(time)
-        return self._place(self._movable.position)
+        return self._point(self._movable.position)
 
     def _reward(self, config: Mapping[Any, Sequence[Any]], *_: object) -> float:
-        start = self._place(self._movable.position)
+        start = self._point(self._movable.position)
         ((action,),) = config.values()
-        end = self._place(action.target_value)
+        end = self._point(action.target_value)
         length_m = math.dist(start, end)
         if length_m == 0.0:
             return 0.0
         return (self._outlook.left - self._outlook.after(start, end, self._table).left) / length_m
 
     @staticmethod
-    def _place(vector: Any) -> Point:
+    def _point(vector: Any) -> Point:
         return float(vector[0, 0]), float(vector[1, 0])
 
 
@@ -141,13 +141,13 @@ def mover_of(name: Name, spacing_m: float, model: DetectionModel) -> Mover:
 def flown(mover: Mover, grid: SearchGrid, model: DetectionModel, length_s: float) -> Array:
     """Return (points, 3) positions, one a step."""
     area = SearchedArea(grid, model)
-    place, track = HOME, []
+    at, track = HOME, []
     for _ in range(round(length_s / STEP_S)):
-        goal = mover.goal(place, area)
-        apart_m = math.dist(place, goal)
+        goal = mover.goal(at, area)
+        apart_m = math.dist(at, goal)
         share = min(1.0, SPEED_MPS * STEP_S / apart_m) if apart_m > 0.0 else 0.0
-        place = place[0] + share * (goal[0] - place[0]), place[1] + share * (goal[1] - place[1])
-        track.append((*place, HEIGHT_M))
+        at = at[0] + share * (goal[0] - at[0]), at[1] + share * (goal[1] - at[1])
+        track.append((*at, HEIGHT_M))
         area.listen(track[-1], STEP_S)
         while area.advance():
             pass

@@ -5,7 +5,7 @@ The world is written apart from `companion.search`. An answer is received while
 a Gaussian field over the vehicle's positions with exponential correlation (M. Gudmundson,
 Electronics Letters 27, 1991) on top of a part that stays with the emitter; fading is Rice's. What
 the estimator assumes is off as it is in the field: the reach by up to 6 dB, and exponent,
-shadowing, its correlation length and the direct path's share by what is known of a place
+shadowing, its correlation length and the direct path's share by what is known of a site
 beforehand.
 """
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Kind = Literal["open", "rubble", "walls"]
 KINDS = get_args(Kind)
 EMITTERS = 40
-"""Places of one flight at which an emitter is tried; the first is drawn from the POA."""
+"""Positions of one flight at which an emitter is tried; the first is drawn from the POA."""
 INTERVAL_S = 1.0
 MOST_REACH_ERROR_DB = 6.0
 EDGE_M = 20.0
@@ -242,8 +242,8 @@ def fly(number: int, seed: int) -> list[Trial]:
         rng.choice(len(grid.poa), EMITTERS - 1),
     )
     cells = np.concatenate((first, others))
-    places = grid.centres_enu_m[cells] + rng.uniform(-0.5, 0.5, (EMITTERS, 2)) * grid.cell_m
-    heard = [bool(row.any()) for row in are_heard(world, places, track, rng)]
+    positions = grid.centres_enu_m[cells] + rng.uniform(-0.5, 0.5, (EMITTERS, 2)) * grid.cell_m
+    heard = [bool(row.any()) for row in are_heard(world, positions, track, rng)]
     return [
         Trial(number, world.kind, float(state.pod[cell]), state.pos, index == 0, is_heard)
         for index, (cell, is_heard) in enumerate(zip(cells, heard, strict=True))

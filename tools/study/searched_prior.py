@@ -34,7 +34,7 @@ LONG_SHARE, LONG_M = 0.3, 8.0
 LONGEST_S = 120.0
 """Time after contact that is evaluated."""
 APART_M = 30.0
-"""Distance from the emitter beyond which a hypothesis is another place, and a fix too wide."""
+"""Distance from the emitter beyond which a hypothesis is another position, and a fix too wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Fix:
     fix_s: float
     """Time of the first R95 of at most `APART_M` about a position as close to the emitter."""
     right_share: float
-    """Share of the time in which the best hypothesis is the right place."""
+    """Share of the time in which the best hypothesis is the right position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ def fly_pair(number: int, seed: int) -> FixPair | None:
     if not len(heard) or heard[0] < 20:
         return None
     area = SearchedArea(grid, model)
-    for place in track[: heard[0]]:
-        area.listen((place[0], place[1], place[2]), INTERVAL_S)
+    for position in track[: heard[0]]:
+        area.listen((position[0], position[1], position[2]), INTERVAL_S)
     area.finish()
     measured = [
         (float(index), track[index], _range_m(emitter[0], track[index], rng)) for index in heard
@@ -79,9 +79,9 @@ def fly_pair(number: int, seed: int) -> FixPair | None:
     return FixPair(number, _fix(measured, emitter[0], None), _fix(measured, emitter[0], prior))
 
 
-def _range_m(emitter: Array, place: Array, rng: np.random.Generator) -> float:
+def _range_m(emitter: Array, position: Array, rng: np.random.Generator) -> float:
     excess_m = rng.exponential(LONG_M) if rng.random() < LONG_SHARE else 0.0
-    slant_m = math.dist((*emitter, 0.0), place)
+    slant_m = math.dist((*emitter, 0.0), position)
     return max(1.0, float(slant_m + excess_m + RANGE_SIGMA_M * rng.standard_normal()))
 
 
@@ -92,12 +92,12 @@ def _fix(
     tracker.prior = prior
     began_s = measured[0][0]
     last_open_s, fix_s, right, count = 0.0, math.inf, 0, 0
-    for at_s, place, range_m in measured:
+    for at_s, position, range_m in measured:
         after_s = at_s - began_s
         if after_s > LONGEST_S:
             break
         measurement = RangingMeasurement(1, at_s, range_m=range_m)
-        tracker.fuse(measurement, (place[0], place[1], place[2]), at_s)
+        tracker.fuse(measurement, (position[0], position[1], position[2]), at_s)
         estimate = tracker.estimate(at_s)
         if estimate is None:
             continue
@@ -118,18 +118,18 @@ def _fix(
 
 
 def table_of_pairs(found: Sequence[FixPair | None]) -> tuple[str, bool]:
-    """Return the comparison as text, and True if no fix is later and other places vanish sooner."""
+    """Return the comparison as text; True if no fix is later and other positions vanish sooner."""
     pairs = [pair for pair in found if pair is not None]
     decided, fixed, right = (
         np.array([[getattr(fix, name) for fix in (p.without, p.with_prior)] for p in pairs])
         for name in ("decided_s", "fix_s", "right_share")
     )
     lines = [f"{len(pairs)} flights                 without    with  sooner  later"]
-    for name, times in (("other places gone, s", decided), ("first fix, s", fixed)):
+    for name, times in (("other positions gone, s", decided), ("first fix, s", fixed)):
         mean = np.minimum(times, LONGEST_S).mean(axis=0)
         sooner, later = (times[:, 1] < times[:, 0]).sum(), (times[:, 1] > times[:, 0]).sum()
         lines.append(f"{name:24}{mean[0]:10.1f}{mean[1]:8.1f}{sooner:8d}{later:7d}")
-    lines.append(f"{'right place best':24}{right[:, 0].mean():10.3f}{right[:, 1].mean():8.3f}")
+    lines.append(f"{'right position best':24}{right[:, 0].mean():10.3f}{right[:, 1].mean():8.3f}")
     is_later = bool((fixed[:, 1] > fixed[:, 0]).any())
     means = np.minimum(decided, LONGEST_S).mean(axis=0)
     return "\n".join(lines) + "\n", not is_later and bool(means[1] <= means[0])

@@ -119,7 +119,7 @@ class Study(Params, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One system in one case, with its place in the tables."""
+    """One system in one case, with its cell of the tables."""
 
     sweep: Sweep
     index: int

@@ -113,15 +113,15 @@ def steer_by_planner(planner: Planner[Any], step_m: float) -> Steer:
     """Return a pilot that flies a step towards a planner's waypoint, or to it if that is nearer."""
     memory: Any = None
 
-    def steer(step: int, place: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
+    def steer(step: int, sensor: Point, estimate: TargetEstimate, joint: Matrix) -> Point:
         """Return the position after a step towards the planner's waypoint."""
         nonlocal memory
         request = PlanRequest(
-            vehicle_enu_m=place, estimate=estimate, time_s=STEP_S * step, joint_covariance=joint
+            vehicle_enu_m=sensor, estimate=estimate, time_s=STEP_S * step, joint_covariance=joint
         )
         plan = planner.plan(request, memory)
         memory = plan.memory
-        return cases.stepped(*place, *plan.waypoint.position_enu_m, step_m)
+        return cases.stepped(*sensor, *plan.waypoint.position_enu_m, step_m)
 
     return steer
 
@@ -132,19 +132,19 @@ def flown(
     """Return a run's record, (steps, 9) as in `walk`, and R95, (steps,), by draws (steps, 6)."""
     steps = len(draws)
     record, radii = np.empty((steps, walk.COLUMNS)), np.empty(steps)
-    place, memory = start_enu_m, NO_MEMORY
+    sensor, memory = start_enu_m, NO_MEMORY
     for step in range(steps):
-        range_m, bearing_rad, memory = cases.measured_in(draws[step], *place, truth, scene, memory)
+        range_m, bearing_rad, memory = cases.measured_in(draws[step], *sensor, truth, scene, memory)
         seen = RangingMeasurement(
             EMITTER_ID, STEP_S * step, range_m=range_m, bearing_enu_rad=bearing_rad
         )
-        estimate, joint = fuse(seen, (*place, 0.0))
+        estimate, joint = fuse(seen, (*sensor, 0.0))
         (ee, en), (_, nn) = estimate.covariance_m2
         offsets = (estimate.range_offset_m, estimate.bearing_offset_rad)
-        record[step] = (*place, *estimate.position_enu_m, *offsets, ee, en, nn)
+        record[step] = (*sensor, *estimate.position_enu_m, *offsets, ee, en, nn)
         radii[step] = estimate.r95_m
         if step + 1 < steps:
-            place = steer(step + 1, place, estimate, joint)
+            sensor = steer(step + 1, sensor, estimate, joint)
     return record, radii
 
 

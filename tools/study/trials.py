@@ -101,8 +101,8 @@ def flown_trial(case: Case, system: System, seed: RunSeed) -> TrialResult:
 def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
     """Return the bound on the squared error after every step of every run, (steps,) each, m^2.
 
-    Behind obstacles it is known for shadows whose draws are new at every place. Detours, pulls and
-    correlated draws carry information on the position, so that no bound is given for them (NaN).
+    Behind obstacles it is known for shadows whose draws are new at every position. Detours, pulls
+    and correlated draws carry information on it, so that no bound is given for them (NaN).
     """
     shadow = case.shadow
     is_memoryless = shadow.detour_share == shadow.pull_share == shadow.correlation_m == 0.0
@@ -117,7 +117,7 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
     bounds = []
     for trial in trials:
         track = np.ascontiguousarray(trial.track_enu_m)
-        is_shaded = shaded_places(track, surroundings)
+        is_shaded = shaded_steps(track, surroundings)
         by_range = np.where(is_shaded, shaded.range_per_m2, clear.range_per_m2)
         by_bearing = np.where(is_shaded, shaded.bearing_per_rad2, clear.bearing_per_rad2)
         bounds.append(metrics.position_bounds_m2(track, target, by_range, by_bearing, prior))
@@ -125,7 +125,7 @@ def bounds_m2(case: Case, trials: Sequence[TrialResult]) -> list[Vector]:
 
 
 @kernel
-def shaded_places(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
+def shaded_steps(track_enu_m: Matrix, surroundings: Surroundings) -> Vector:
     """Return 1 where an obstacle blocks the path to the target, otherwise 0, (steps,)."""
     is_shaded = np.zeros(track_enu_m.shape[0])
     east, north, up = surroundings.east_m, surroundings.north_m, surroundings.up_m

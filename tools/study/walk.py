@@ -307,7 +307,7 @@ def latched_step(
 
 
 @kernel
-def next_place(
+def next_position(
     sensor_enu_m: Vector,
     mean: Vector,
     covariance: Matrix,
@@ -322,16 +322,16 @@ def next_place(
     """
     east_m, north_m = sensor_enu_m[0], sensor_enu_m[1]
     de_m, dn_m = mean[0] - east_m, mean[1] - north_m
-    place, target = (east_m, north_m), (mean[0], mean[1])
+    position, target = (east_m, north_m), (mean[0], mean[1])
     if steering.planner == REACTIVE:
         crossing_m, stop_m = steering.crossing_distance_m, steering.stop_distance_m
-        east_m, north_m = reactive_step(place, target, steering.step_m, crossing_m, stop_m)
+        east_m, north_m = reactive_step(position, target, steering.step_m, crossing_m, stop_m)
         return east_m, north_m, latch
     if steering.planner == LATCHED:
         over_m = overshoot_m(
             covariance[0, 0], covariance[0, 1], covariance[1, 1], 0.0, steering.latch
         )
-        latch = latched_step(latch, place, target, over_m, True, steering.latch)
+        latch = latched_step(latch, position, target, over_m, True, steering.latch)
         point = latch.point_enu_m
         east_m, north_m = stepped(east_m, north_m, point[0], point[1], steering.step_m)
         return east_m, north_m, latch
@@ -393,7 +393,7 @@ def walked(
         record[step, VARIANCE_EAST], record[step, COVARIANCE] = covariance[0, 0], covariance[0, 1]
         record[step, VARIANCE_NORTH] = covariance[1, 1]
         if steering.planner != FIXED:
-            east_m, north_m, latch = next_place(
+            east_m, north_m, latch = next_position(
                 sensor, mean, covariance, picks[step], latch, belief, steering
             )
     return record

@@ -1,4 +1,4 @@
-"""MGRS, against places whose squares follow from the definition."""
+"""MGRS, against positions whose squares follow from the definition."""
 
 import pytest
 
@@ -29,12 +29,12 @@ def test_the_poles_and_the_southern_half_have_squares() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "text"),
+    ("position", "text"),
     [
         ((47.398012, 8.546123), "47° 23.881' N, 8° 32.767' E"),
         ((-0.5, -70.999_999_9), "0° 30.000' S, 71° 00.000' W"),
         ((12.016_666, 0.0), "12° 01.000' N, 0° 00.000' E"),
     ],
 )
-def test_degrees_and_minutes_carry_over(place: tuple[float, float], text: str) -> None:
-    assert minutes_text(place) == text
+def test_degrees_and_minutes_carry_over(position: tuple[float, float], text: str) -> None:
+    assert minutes_text(position) == text

@@ -1,4 +1,4 @@
-"""The files that ground teams are handed: one place per emitter, the newest."""
+"""The files that ground teams are handed: one position per emitter, the newest."""
 
 import json
 from xml.etree import ElementTree as ET
@@ -6,12 +6,12 @@ from xml.etree import ElementTree as ET
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.commands import ReportResult
 from companion.handoff import GEOJSON, KML, TEXT, HandoffFiles
-from tests.unit.companion.handoff.handoff_helpers import ORIGIN, PLACE_ENU_M
+from tests.unit.companion.handoff.handoff_helpers import ORIGIN, POSITION_ENU_M
 
 
 def report(emitter_id: int | None, r95_m: float = 0.8, *, has_origin: bool = True) -> ReportResult:
     estimate = TargetEstimate(
-        60.0, EstimateState.LOCALISED, PLACE_ENU_M, ((0.1, 0.0), (0.0, 0.1)), r95_m, 0.0, 0.0, 90
+        60.0, EstimateState.LOCALISED, POSITION_ENU_M, ((0.1, 0.0), (0.0, 0.1)), r95_m, 0.0, 0.0, 90
     )
     return ReportResult(estimate, 47.4, 8.54, emitter_id, ORIGIN if has_origin else None)
 

@@ -61,10 +61,10 @@ def test_ranges_and_bearings_alone_and_together_fill_the_window_and_are_planned_
     kinds: Counter[tuple[bool, bool]] = Counter()
     fuse = TargetTracker.fuse
 
-    def counted(self: TargetTracker, measurement: Any, *place_and_time: Any) -> Any:
+    def counted(self: TargetTracker, measurement: Any, *position_and_time: Any) -> Any:
         row = params.filter.kernel_row(measurement, (0.0, 0.0, 20.0))
         kinds[measurement.range_m is not None, not math.isnan(row[VALUES + BEARING])] += 1
-        report = fuse(self, measurement, *place_and_time)
+        report = fuse(self, measurement, *position_and_time)
         assert report.reject_reason is None
         return report
 

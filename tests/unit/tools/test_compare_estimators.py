@@ -26,8 +26,8 @@ def walk(path: Path, late_share: float = 0.0) -> Path:
         east_m, north_m = (0.3 * step, 0.0) if step < 40 else (12.0, 0.3 * (step - 40) - 6.0)
         range_m = math.dist((east_m, north_m), TARGET) + 0.15 * rng.standard_normal()
         range_m += 5.0 * (rng.random() < late_share)
-        place = f"{step},{east_m},{north_m},0,A,{range_m:.4f},,{TARGET[0]},{TARGET[1]}"
-        lines.append(place + "\n")
+        line = f"{step},{east_m},{north_m},0,A,{range_m:.4f},,{TARGET[0]},{TARGET[1]}"
+        lines.append(line + "\n")
     path.write_text("".join(lines), encoding="utf-8")
     return path
 

@@ -1,7 +1,7 @@
 """The bound where it is known in closed form: evenly seen from a circle, and once from right above.
 
-By symmetry nothing that is common to all views, offset, height or compass, moves the place then.
-The last view, from right above, tells nothing about the place; it is the time that the bound is of.
+By symmetry nothing that is common to all views, offset, height or compass, moves the position then.
+The last view, from right above, has no information on it; it is the time that the bound is of.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CHANNEL = FieldChannelParams(
     bearing_sigma_deg=3.0,
 )
 RANGES, BEARINGS = 0.5, math.radians(3.0) * SLANT_M
-"""What one view tells, of a place along or across its line; along the ground a range tells less."""
+"""Sigma of one view along and across its line; along the ground a range says less."""
 
 PRIORS = FilterParams(
     target_height_sigma_m=2.0, bearing_offset_sigma_deg=5.0, range_offset_sigma_m=1.0

@@ -38,11 +38,11 @@ def wheels_of_manuals(folder: Path) -> Path:
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """All of the package but its wheels, of a time long ago."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
-    place = tmp_path / "tree"
-    make_deb.lay_out_system(place)
-    make_deb.lay_out_documentation(place / "usr/share", wheels_of_manuals(tmp_path))
-    make_deb.write_control(place, "amd64")
-    return place
+    root = tmp_path / "tree"
+    make_deb.lay_out_system(root)
+    make_deb.lay_out_documentation(root / "usr/share", wheels_of_manuals(tmp_path))
+    make_deb.write_control(root, "amd64")
+    return root
 
 
 def test_configuration_is_kept_by_upgrades(tree: Path) -> None:

@@ -90,10 +90,10 @@ class Findings:
         return _flown(self.find(system, *tables))
 
     def peer(self, cell: CellResult, system: System) -> CellResult | None:
-        """Return another system in the same place of the same table."""
-        place = (cell.table, cell.parameter, cell.value)
+        """Return another system in the same row of the same table."""
+        cell_key = (cell.table, cell.parameter, cell.value)
         for other in self.cells:
-            if (other.table, other.parameter, other.value) == place and other.system == system:
+            if (other.table, other.parameter, other.value) == cell_key and other.system == system:
                 return other
         return None
 

@@ -13,8 +13,8 @@ A cell is a radio with a configuration and a planner. Definitions:
                           where they are half of them
     cut_error_m           median of the last estimates of those that did not report
 
-Relative is about the place in the vehicle's own frame, absolute about that on the Earth. Intervals
-of shares are Wilson's of 95 % (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
+Relative is about the position in the vehicle's own frame, absolute about that on the Earth.
+Intervals of shares are Wilson's of 95 % (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927).
 """
 
 from __future__ import annotations
@@ -158,8 +158,8 @@ def drawing_of(rows: Sequence[FlightRow]) -> Drawing:
                 shown = [r for r in own if r.planner == SHOWN_PLANNER] or own
                 pairs = [(r.r95_m or math.nan, max(r.error_m or 0.0, 0.01)) for r in shown]
                 label = kind.replace("_", " ")
-                places = tuple(zip(*pairs, strict=True)) or ((), ())
-                axes.plot(*places, "o", color=colour, ms=3, alpha=0.6, label=label)
+                points = tuple(zip(*pairs, strict=True)) or ((), ())
+                axes.plot(*points, "o", color=colour, ms=3, alpha=0.6, label=label)
             axes.set(xscale="log", yscale="log", title=radio.replace("_", " "))
             for factor, dashes in ((1.0, ()), (3.0, plots.DOTS)):
                 ends = [0.1, 100.0]

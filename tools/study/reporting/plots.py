@@ -157,13 +157,13 @@ def label_ends(figure: Figure, axes: Axes, labels: Sequence[tuple[float, str, st
         (float(shares.transform(axes.transData.transform((1.0, y)))[1]), text, colour)
         for y, text, colour in labels
     )
-    places = spread([place for place, _, _ in ordered], LABEL_GAP_PT / height_pt)
+    values = spread([position for position, _, _ in ordered], LABEL_GAP_PT / height_pt)
     line = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 1.0, "shrinkB": 0.0, "relpos": (0.0, 0.5)}
-    for (wanted, text, colour), place in zip(ordered, places, strict=True):
+    for (wanted, text, colour), position in zip(ordered, values, strict=True):
         axes.annotate(
             text,
             xy=(1.0, wanted),
-            xytext=(1.035, place),
+            xytext=(1.035, position),
             xycoords="axes fraction",
             textcoords="axes fraction",
             color=colour,
@@ -202,13 +202,13 @@ def losses() -> Figure:
     figure = new_figure(5.6, 2.6)
     left, right = figure.subplots(1, 2)
     u = np.linspace(-5.0, 5.0, 401)
-    for name, k_long, k_short, place, colour, dashes in LOSSES:
+    for name, k_long, k_short, position, colour, dashes in LOSSES:
         width = 1.5 if dashes else 3.0  # the others stay visible where they lie upon it
         loss = [asymmetric_huber_loss(x, k_long, k_short) for x in u]
         influence = [asymmetric_huber_influence(x, k_long, k_short) for x in u]
         left.plot(u, loss, color=colour, dashes=dashes, lw=width)
         right.plot(u, influence, color=colour, dashes=dashes, lw=width)
-        right.text(*place, name, color=colour, fontsize=8.0)
+        right.text(*position, name, color=colour, fontsize=8.0)
     left.set(title="Loss", ylim=(0.0, 8.0), xlim=(-5.0, 5.0), xlabel="residual, in sigma")
     right.set(title="Influence: its derivative", ylim=(-5.2, 5.2), xlim=(-5.0, 5.0))
     right.set_xlabel("residual, in sigma")
@@ -299,9 +299,9 @@ def sensitivity(found: Sequence[Sensitivity], xlabel: str) -> Figure:
     return figure
 
 
-def _set_ticks(axis: Axis, places: Sequence[float]) -> None:
-    """Set ticks at these places alone, as plain numbers."""
-    axis.set_major_locator(FixedLocator(places))
+def _set_ticks(axis: Axis, values: Sequence[float]) -> None:
+    """Set ticks at these values alone, as plain numbers."""
+    axis.set_major_locator(FixedLocator(values))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

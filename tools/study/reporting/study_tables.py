@@ -78,8 +78,8 @@ def rows_about(
         printed = numbers[metric][cell.index] if metric in numbers else None
         paper = "" if printed is None else str(printed)
         if name == cell.system.label or paper:
-            place = (cell.table, cell.parameter, cell.value, name)
-            rows.append(ResultRow(*place, metric, paper, ours, ours_ci95, bound))
+            row = (cell.table, cell.parameter, cell.value, name)
+            rows.append(ResultRow(*row, metric, paper, ours, ours_ci95, bound))
     return rows
 
 

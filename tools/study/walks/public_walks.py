@@ -37,26 +37,26 @@ from tools.console import OneLineParser
 
 HEADER = "t_s,agent_x_m,agent_y_m,target_id,range_m,target_x_m,target_y_m"
 
-Place = tuple[float, float]
+Position = tuple[float, float]
 
 
 class Answer(NamedTuple):
     """One range of a walk."""
 
     t_s: float
-    agent_m: Place
+    agent_m: Position
     target_id: str
     range_m: float
-    target_m: Place
+    target_m: Position
 
 
 def librsf_answers(raw: Path, truth: Path) -> Iterator[Answer]:
     """Yield ranges to each anchor, with the agent's position interpolated from the truth."""
-    places = np.array([numbers[:3] for numbers in _records(truth, "point2", 3)])
-    if not len(places):
+    positions = np.array([numbers[:3] for numbers in _records(truth, "point2", 3)])
+    if not len(positions):
         raise ConfigError(f"{truth}: no line begins with point2")
     for t_s, range_m, _, x, y, number in _records(raw, "range2", 6):
-        east_m, north_m = (float(np.interp(t_s, places[:, 0], places[:, i])) for i in (1, 2))
+        east_m, north_m = (float(np.interp(t_s, positions[:, 0], positions[:, i])) for i in (1, 2))
         yield Answer(t_s, (east_m, north_m), f"U{number:.0f}", range_m, (x, y))
 
 
@@ -76,10 +76,10 @@ def rtt_answers(raw: Path, anchors: Path) -> Iterator[Answer]:
     known = {row[""]: (_cell(row, "x", anchors), _cell(row, "y", anchors)) for row in table}
     for row in csv.DictReader(_text(raw).splitlines()):
         time_name = next((name for name in row if name.endswith("Time Stamp (ms)")), "Time Stamp")
-        place_name = next((name for name in row if name.endswith("Ground Truth")), "Ground Truth")
+        truth_name = next((name for name in row if name.endswith("Ground Truth")), "Ground Truth")
         t_s = 1e-3 * _cell(row, time_name, raw)
-        x, _, y = (row.get(place_name) or "").strip("[] ").partition(",")
-        agent_m = (_number(x, f"{raw}: {place_name}"), _number(y, f"{raw}: {place_name}"))
+        x, _, y = (row.get(truth_name) or "").strip("[] ").partition(",")
+        agent_m = (_number(x, f"{raw}: {truth_name}"), _number(y, f"{raw}: {truth_name}"))
         for target_id, target_m in known.items():
             text = row.get(f"{target_id} RTT Distance (m)") or "nan"
             range_m = _number(text, f"{raw}: {target_id}")
@@ -91,11 +91,11 @@ def _cell(row: dict[str, str], name: str, path: Path) -> float:
     return _number(row.get(name) or "", f"{path}: {name}")
 
 
-def _number(text: str, place: str) -> float:
+def _number(text: str, source: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"{place}: not a number: `{text}`") from None
+        raise ConfigError(f"{source}: not a number: `{text}`") from None
 
 
 def _text(path: Path) -> str:

@@ -163,7 +163,7 @@ def pooled_lines(name: str, targets: Sequence[TargetClaims]) -> list[str]:
         f"{name}: {len(targets)} targets, {count} measurements, {cost_ms:.2f} ms each",
         f"  final error, m          median {quantile(errors, 0.5):6.2f}  "
         f"90 % {quantile(errors, 0.9):6.2f}",
-        f"  better stated place, m  median {quantile(better, 0.5):6.2f}  "
+        f"  better stated position, m  median {quantile(better, 0.5):6.2f}  "
         f"90 % {quantile(better, 0.9):6.2f}",
     ]
     for when, claims in (("final", finals), ("along the way", along)):
@@ -173,7 +173,7 @@ def pooled_lines(name: str, targets: Sequence[TargetClaims]) -> list[str]:
                 lines.append(
                     f"  {when}, {state.value}: {len(of_state)}/{len(claims)}, "
                     f"inside R95 {share_of(of_state, lambda c: c.is_inside)}, "
-                    f"of a stated place {share_of(of_state, lambda c: c.is_stated)}"
+                    f"of a stated position {share_of(of_state, lambda c: c.is_stated)}"
                 )
     return lines
 

@@ -71,8 +71,8 @@ def _damaged(text: str, rng: random.Random) -> str:
         case 3:
             lines[at] = " " + lines[at]
         case 4:
-            place = rng.randrange(len(text))
-            return text[:place] + chr(rng.randrange(32, 0x250)) + text[place + 1 :]
+            index = rng.randrange(len(text))
+            return text[:index] + chr(rng.randrange(32, 0x250)) + text[index + 1 :]
         case 5:
             del lines[at]
     return "".join(lines)

@@ -6,8 +6,8 @@ from companion.config.area_files import areas_of_kml
 from companion.geometry.geofence import GeoArea, NamedArea
 
 RING = "8.0,47.0,0 8.01,47.0,0\n 8.0,47.01 8.0,47.0,0"
-PLACES = ((47.0, 8.0), (47.0, 8.01), (47.01, 8.0))
-FENCE = NamedArea("Polygon 1", True, GeoArea(PLACES))
+CORNERS_DEG = ((47.0, 8.0), (47.0, 8.01), (47.01, 8.0))
+FENCE = NamedArea("Polygon 1", True, GeoArea(CORNERS_DEG))
 
 
 def boundary(kind: str, ring: str = RING) -> str:
@@ -37,8 +37,8 @@ def test_a_ring_that_is_not_closed_is_one_all_the_same() -> None:
 def test_holes_are_keep_outs() -> None:
     text = kml(placemark(boundary("outer"), boundary("inner"), boundary("inner")))
     assert areas_of_kml(text)[1:] == [
-        NamedArea("Polygon 1, hole 1", False, GeoArea(PLACES)),
-        NamedArea("Polygon 1, hole 2", False, GeoArea(PLACES)),
+        NamedArea("Polygon 1, hole 1", False, GeoArea(CORNERS_DEG)),
+        NamedArea("Polygon 1, hole 2", False, GeoArea(CORNERS_DEG)),
     ]
 
 

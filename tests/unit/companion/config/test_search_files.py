@@ -51,8 +51,8 @@ def test_polygons_have_their_weights_and_holes(tmp_path: Path) -> None:
 def placemark(
     ring: list[list[float]], data: str = "", hole: list[list[float]] | None = None
 ) -> str:
-    def boundary(name: str, places: list[list[float]]) -> str:
-        text = " ".join(f"{lon},{lat},0" for lon, lat in places)
+    def boundary(name: str, corners_deg: list[list[float]]) -> str:
+        text = " ".join(f"{lon},{lat},0" for lon, lat in corners_deg)
         ring = f"<LinearRing><coordinates>{text}</coordinates></LinearRing>"
         return f"<{name}>{ring}</{name}>"
 

@@ -23,8 +23,8 @@ ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 
 def fence_about(origin: LocalOrigin, corners: Corners) -> GeoFence:
     """A fence as an autopilot tells it."""
-    places = (origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners)
-    return GeoFence(GeoArea(tuple(places)))
+    positions = (origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners)
+    return GeoFence(GeoArea(tuple(positions)))
 
 
 PX4_PARAMETERS: dict[str, float | None] = {

@@ -41,12 +41,12 @@ def test_a_vehicle_that_is_fit_has_nothing_to_mend() -> None:
     assert exit_code(findings) == 0
 
 
-PLACE = PlaceFacts("flights", None, 20_000.0, 0.02)
+FOLDER = PlaceFacts("flights", None, 20_000.0, 0.02)
 HOST_CASES = [
     ("log.directory", host_with(logs=PlaceFacts("flights", "Read-only file system")), Level.FAIL),
-    ("log.directory", host_with(logs=replace(PLACE, free_mb=20.0)), Level.FAIL),
-    ("log.directory", host_with(logs=replace(PLACE, free_mb=500.0)), Level.WARN),
-    ("log.directory", host_with(logs=replace(PLACE, synced_write_s=3.0)), Level.WARN),
+    ("log.directory", host_with(logs=replace(FOLDER, free_mb=20.0)), Level.FAIL),
+    ("log.directory", host_with(logs=replace(FOLDER, free_mb=500.0)), Level.WARN),
+    ("log.directory", host_with(logs=replace(FOLDER, synced_write_s=3.0)), Level.WARN),
     ("process.state_directory", host_with(state=PlaceFacts("s", "Permission denied")), Level.WARN),
     ("signing key", host_with(has_key=False), Level.WARN),
     ("signing key", host_with(key_problem="k: open to others (mode 0644)"), Level.FAIL),
@@ -68,7 +68,7 @@ def test_what_is_wrong_with_the_computer_is_named(subject: str, facts: Facts, le
 
 
 def test_less_room_than_a_flight_may_take_is_fine_if_it_may_take_less() -> None:
-    facts = host_with(logs=replace(PLACE, free_mb=500.0))
+    facts = host_with(logs=replace(FOLDER, free_mb=500.0))
     config = CompanionConfig(log=LogConfig(max_mb=100.0))
     assert finding_about("log.directory", facts, config).level is Level.OK
 

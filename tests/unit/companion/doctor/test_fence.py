@@ -80,14 +80,14 @@ def test_the_fence_is_read_from_the_autopilot(
 def upload(sim: SimEndpoint, corners: tuple[tuple[float, float], ...]) -> None:
     """A ground station gives the autopilot a fence."""
     origin = sim.vehicle.origin
-    places = [origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners]
-    count = mavlink.MAVLink_mission_count_message(1, 1, len(places), FENCE)
+    positions = [origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners]
+    count = mavlink.MAVLink_mission_count_message(1, 1, len(positions), FENCE)
     items = [
         mavlink.MAVLink_mission_item_int_message(
-            *(1, 1, seq, 0, 5001, 0, 1, float(len(places)), 0.0, 0.0, 0.0),
+            *(1, 1, seq, 0, 5001, 0, 1, float(len(positions)), 0.0, 0.0, 0.0),
             *(round(lat * 1e7), round(lon * 1e7), 0.0, FENCE),
         )
-        for seq, (lat, lon) in enumerate(places)
+        for seq, (lat, lon) in enumerate(positions)
     ]
     station = mavlink.MAVLink(None, 255, 190)
     for message in (count, *items):

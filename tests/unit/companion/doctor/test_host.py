@@ -9,19 +9,19 @@ from companion.doctor.examination import inspect_folder, inspect_host
 
 
 def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
-    place = inspect_folder(tmp_path / "flights")
-    assert place.problem is None
-    assert place.free_mb is not None
-    assert place.free_mb > 0.0
-    assert place.synced_write_s is not None
+    folder = inspect_folder(tmp_path / "flights")
+    assert folder.problem is None
+    assert folder.free_mb is not None
+    assert folder.free_mb > 0.0
+    assert folder.synced_write_s is not None
     assert os.listdir(tmp_path / "flights") == []
 
 
 def test_a_place_that_cannot_be_is_told_in_words(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    place = inspect_folder(tmp_path / "file" / "flights")
-    assert place.problem == "Not a directory"
-    assert place.free_mb is None
+    folder = inspect_folder(tmp_path / "file" / "flights")
+    assert folder.problem == "Not a directory"
+    assert folder.free_mb is None
 
 
 def test_a_key_that_others_may_read_is_told(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.map_kernels import SIGMAS, VALUES
 
-PLACE = (0.0, 0.0, 20.0)
+POSITION = (0.0, 0.0, 20.0)
 LEVEL = Attitude(0.0, (0.0, 0.0))
 PRINTED = RangingMeasurement(
     emitter_id=1, measured_at_s=0.0, range_m=30.0, bearing_body_rad=0.4, elevation_rad=0.2
@@ -51,15 +51,15 @@ def test_a_direction_that_cannot_be_used_is_counted_and_its_range_stays(
     told = replace(PRINTED, bearing_body_rad=bearing_rad, is_array_angle=is_array_angle)
     seen = seen_in_enu(told, attitude, antenna)
     tracker = _tracker(antenna)
-    assert tracker.fuse(seen, PLACE, 0.0).reject_reason is None
+    assert tracker.fuse(seen, POSITION, 0.0).reject_reason is None
     assert tracker.rejected[reason] == 1
     assert len(tracker.hypotheses) > 1  # a ring: the range alone
     alone = replace(seen, range_m=None, measured_at_s=0.5)
-    assert tracker.fuse(alone, PLACE, 0.5).reject_reason is reason
+    assert tracker.fuse(alone, POSITION, 0.5).reject_reason is reason
 
 
 def _information(kind: AntennaKind, east_m: float) -> float:
-    """What one view of a place 20 m below says of it, in units of 1 / (slant sigma)^2."""
+    """Return the information of one view of a position 20 m below, in 1 / (slant sigma)^2."""
     model = FilterParams(antenna=AntennaParams(kind=kind), own_position_sigma_m=0.0).model
     _, right, down = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     ahead = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))[0]
@@ -105,11 +105,11 @@ def test_an_array_that_tells_a_direction_by_north_is_none_and_that_is_counted(
     antenna = AntennaParams(kind=kind)
     tracker = _tracker(antenna)
     told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=29.0, bearing_enu_rad=0.7)
-    assert tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0).reject_reason is None
+    assert tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0).reject_reason is None
     assert tracker.rejected == {RejectReason.BY_NORTH: 1}
     assert len(tracker.hypotheses) > 1
     alone = seen_in_enu(replace(told, range_m=None), LEVEL, antenna)
-    assert tracker.fuse(alone, PLACE, 0.0).reject_reason is RejectReason.BY_NORTH
+    assert tracker.fuse(alone, POSITION, 0.0).reject_reason is RejectReason.BY_NORTH
 
 
 @pytest.mark.parametrize(("elevation_rad", "is_seen"), [(0.2, True), (1.2, False), (-1.2, False)])
@@ -119,7 +119,7 @@ def test_the_field_of_view_of_a_two_axis_array_is_a_cone(
     antenna = AntennaParams(kind="two_axis", field_of_view_deg=120.0)
     told = replace(PRINTED, elevation_rad=elevation_rad, is_array_angle=True)
     tracker = _tracker(antenna)
-    tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0)
+    tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0)
     assert tracker.rejected[RejectReason.OUT_OF_VIEW] == (not is_seen)
 
 
@@ -141,12 +141,12 @@ def test_absurd_angles_of_an_array_are_refused(
     """As without one: its arithmetic would fail on infinities and believe degrees."""
     antenna = AntennaParams(kind=kind)
     seen = seen_in_enu(replace(PRINTED, **absurd), LEVEL, antenna)  # type: ignore[arg-type]
-    assert _tracker(antenna).fuse(seen, PLACE, 0.0).reject_reason is reason
+    assert _tracker(antenna).fuse(seen, POSITION, 0.0).reject_reason is reason
 
 
 def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> None:
     told = replace(PRINTED, is_array_angle=True)
-    row = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), PLACE)
+    row = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), POSITION)
     assert np.isnan(row[VALUES:SIGMAS]).tolist() == [False, True, True]
 
 
@@ -166,7 +166,7 @@ def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
     told = replace(PRINTED, range_m=range_m, bearing_body_rad=0.1, elevation_rad=elevation_rad)
     seen = seen_in_enu(told, LEVEL, antenna)  # its nose is to the north
     tracker = _tracker(antenna)
-    tracker.fuse(seen, PLACE, 0.0)
+    tracker.fuse(seen, POSITION, 0.0)
     assert {math.copysign(1.0, h.position_enu_m[1]) for h in tracker.hypotheses} == sides
     bearings = [math.atan2(*h.position_enu_m[::-1]) for h in tracker.hypotheses]
     assert min(abs(b - seen.bearing_enu_rad) for b in bearings) < 1e-9  # type: ignore[operator]
@@ -176,7 +176,7 @@ def test_without_a_range_a_line_leaves_two_sides() -> None:
     antenna = AntennaParams(kind="line")
     told = replace(PRINTED, range_m=None, elevation_rad=None)
     tracker = _tracker(antenna)
-    tracker.fuse(seen_in_enu(told, LEVEL, antenna), PLACE, 0.0)
+    tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0)
     norths = [h.position_enu_m[1] for h in tracker.hypotheses]
     assert min(norths) < 0.0 < max(norths)
     assert all(h.position_enu_m[0] > 0.0 for h in tracker.hypotheses)

@@ -89,8 +89,8 @@ def test_two_mirror_images_come_back_as_two() -> None:
 def test_a_belief_that_was_wrong_is_given_up() -> None:
     rows = walk(np.random.default_rng(4), 400)
     belief = belief_after(rows[:150])
-    place = belief.places[0]
-    elsewhere = replace(place, mean=(place.mean[0] + 60.0, place.mean[1], *place.mean[2:]))
+    first = belief.places[0]
+    elsewhere = replace(first, mean=(first.mean[0] + 60.0, first.mean[1], *first.mean[2:]))
     tracker = TargetTracker(PARAMS)
     assert tracker.resume(replace(belief, places=(elsewhere,)), 1.0, 0.0) is None
     error_m, r95_m = error_and_r95_m(flown(tracker, rows))
@@ -107,7 +107,7 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
 
 
 @pytest.mark.parametrize(
-    ("places", "problem"),
+    ("hypotheses", "problem"),
     [
         ((), "0 hypotheses"),
         ((GOOD,) * 33, "33 hypotheses"),
@@ -135,10 +135,10 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
     ],
 )
 def test_nothing_begins_from_an_impossible_belief(
-    places: tuple[StoredHypothesis, ...], problem: str
+    hypotheses: tuple[StoredHypothesis, ...], problem: str
 ) -> None:
     tracker = TargetTracker(PARAMS)
-    refusal = tracker.resume(Belief(1, 10, places), 1.0, 0.0)
+    refusal = tracker.resume(Belief(1, 10, hypotheses), 1.0, 0.0)
     assert refusal is not None
     assert problem in refusal
     assert tracker.belief is None

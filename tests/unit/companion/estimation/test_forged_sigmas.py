@@ -25,20 +25,20 @@ LOOKS = 60
 def readings(
     seed: int, sigma: float, share: float
 ) -> Iterator[tuple[RangingMeasurement, PositionEnu]]:
-    """Yield readings of a crossing at 5 Hz, a share of them of the forged place with that sigma."""
+    """Yield readings of a crossing at 5 Hz, a share of the forged position with that sigma."""
     rng = np.random.default_rng(seed)
     corners = [(-40.0, -40.0), (80.0, 80.0), (20.0, 90.0), (80.0, 10.0), (20.0, 50.0), (80.0, 50.0)]
     legs = [leg(a, b, int(math.dist(a, b))) for a, b in pairwise(corners)]
-    for step, place in enumerate(place for each in legs for place in each):
+    for step, position in enumerate(position for each in legs for position in each):
         noise = rng.normal(0.0, HONEST_SIGMAS)
         excess_m = rng.exponential(8.0) if rng.random() < 0.3 else 0.0
         sigmas: tuple[float, float] = HONEST_SIGMAS
         target = TARGET
         if rng.random() < share:
             noise, excess_m, sigmas, target = np.zeros(2), 0.0, (sigma, sigma), FORGED
-        range_m = range_to(place, target) + float(noise[0]) + excess_m
-        seen = measured(0.2 * step, range_m, bearing_to(place, target) + float(noise[1]))
-        yield replace(seen, range_sigma_m=sigmas[0], bearing_sigma_rad=sigmas[1]), place
+        range_m = range_to(position, target) + float(noise[0]) + excess_m
+        seen = measured(0.2 * step, range_m, bearing_to(position, target) + float(noise[1]))
+        yield replace(seen, range_sigma_m=sigmas[0], bearing_sigma_rad=sigmas[1]), position
 
 
 def looks(seed: int, sigma: float, share: float = 0.1) -> list[tuple[EstimateState, float]]:
@@ -46,8 +46,8 @@ def looks(seed: int, sigma: float, share: float = 0.1) -> list[tuple[EstimateSta
     tracker = TargetTracker(TrackerParams(filter=FilterParams()))
     flown = list(readings(seed, sigma, share))
     found = []
-    for number, (seen, place) in enumerate(flown):
-        tracker.fuse(seen, place, seen.measured_at_s)
+    for number, (seen, position) in enumerate(flown):
+        tracker.fuse(seen, position, seen.measured_at_s)
         estimate = tracker.estimate(seen.measured_at_s)
         if number % (len(flown) // LOOKS) == 0 and estimate is not None:
             found.append((estimate.state, math.dist(estimate.position_enu_m[:2], TARGET)))

@@ -30,13 +30,13 @@ def fed(
     shift: PositionEnu = (0.0, 0.0, 0.0),
     turn_rad: float = 0.0,
 ) -> TargetTracker:
-    """The tracker after these rows, seen from shifted places and turned."""
+    """Return the tracker after these rows, seen from shifted positions and turned."""
     for index, row in enumerate(rows, first):
-        seen, place = measurement_of(row, 0.1 * index)
+        seen, position = measurement_of(row, 0.1 * index)
         if seen.bearing_enu_rad is not None:
             turned_rad = math.remainder(seen.bearing_enu_rad + turn_rad, 2.0 * math.pi)
             seen = replace(seen, bearing_enu_rad=turned_rad, bearing_body_rad=turned_rad)
-        moved = (place[0] + shift[0], place[1] + shift[1], place[2] + shift[2])
+        moved = (position[0] + shift[0], position[1] + shift[1], position[2] + shift[2])
         tracker.fuse(seen, moved, 0.1 * index)
     return tracker
 

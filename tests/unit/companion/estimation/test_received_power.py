@@ -55,10 +55,10 @@ def test_a_weak_signal_is_bounded_evidence_and_a_strong_one_is_not() -> None:
     mean, sigmas = PARAMS.prior
     mean[:2] = 40.0, 0.0
     state = FilterState.of(0.0, mean, np.diag(sigmas**2))
-    place = (0.0, 0.0, HIGH_M)
-    expected_dbm = float(predicted(mean, np.array(place), PARAMS.model)[POWER])
+    position = (0.0, 0.0, HIGH_M)
+    expected_dbm = float(predicted(mean, np.array(position), PARAMS.model)[POWER])
     weak, strong = (
-        target_filter.update(state, heard(expected_dbm + off), place).modalities[POWER]
+        target_filter.update(state, heard(expected_dbm + off), position).modalities[POWER]
         for off in (-40.0, 20.0)
     )
     assert weak is not None
@@ -68,8 +68,8 @@ def test_a_weak_signal_is_bounded_evidence_and_a_strong_one_is_not() -> None:
 
 
 def test_a_hundred_looks_from_one_place_weigh_little_more_than_one() -> None:
-    def rows(places: list[PositionEnu]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-        return np.array([PARAMS.kernel_row(heard(-70.0), place) for place in places])
+    def rows(positions: list[PositionEnu]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        return np.array([PARAMS.kernel_row(heard(-70.0), position) for position in positions])
 
     apart = [(200.0 * i, 0.0, HIGH_M) for i in range(5)]
     hovering = [(-500.0, 0.0, HIGH_M)] * 100
@@ -85,21 +85,21 @@ def flown(
     rng = np.random.default_rng(seed)
     shadow_db, last = 0.0, (0.0, 0.0)
     legs = [((0.0, 0.0), (120.0, 60.0)), ((110.0, -40.0), (10.0, 100.0))]
-    places = [
+    positions = [
         (a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
         for a, b in legs
         for t in np.linspace(0.0, 1.0, 110)
     ]
-    for number, place in enumerate(places):
-        kept = math.exp(-math.dist(place, last) / 25.0)
+    for number, position in enumerate(positions):
+        kept = math.exp(-math.dist(position, last) / 25.0)
         shadow_db = kept * shadow_db + 6.0 * math.sqrt(1.0 - kept * kept) * rng.normal()
-        last, slant_m = place, math.hypot(*np.subtract(TRUTH, place), HIGH_M)
+        last, slant_m = position, math.hypot(*np.subtract(TRUTH, position), HIGH_M)
         power_dbm = round(-43.0 - 26.0 * math.log10(slant_m) + shadow_db + 4.0 * rng.normal())
         range_m = slant_m + rng.normal() if with_ranges else None
         seen = heard(power_dbm, 0.25 * number, range_m)
         if not has_power:
             seen = RangingMeasurement(7, 0.25 * number, range_m=range_m)
-        tracker.fuse(seen, (*place, HIGH_M), 0.25 * number, OWN)
+        tracker.fuse(seen, (*position, HIGH_M), 0.25 * number, OWN)
 
 
 @pytest.mark.parametrize(
@@ -138,8 +138,8 @@ def test_power_at_a_metre_is_an_offset_of_ranges_where_there_are_none(with_range
     state, model = tracker.hypotheses[0].state, PARAMS.model
     joint = tracker.joint_covariance((200.0, 0.0, HIGH_M))
     assert joint is not None
-    place = (*state.mean[:2], state.mean[model.height_index])
-    metres_per_db = math.dist((200.0, 0.0, HIGH_M), place) * math.log(10.0) / 10.0
+    position = (*state.mean[:2], state.mean[model.height_index])
+    metres_per_db = math.dist((200.0, 0.0, HIGH_M), position) * math.log(10.0) / 10.0
     metres_per_db /= float(state.mean[model.power_index + 1])
     index, scale = (2, 1.0) if with_ranges else (model.power_index, -metres_per_db)
     P = state.covariance

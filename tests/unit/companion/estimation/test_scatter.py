@@ -89,12 +89,12 @@ def crossed(claimed_m: float, kind: AntennaKind = "auto") -> TargetTracker:
     antenna = AntennaParams(kind=kind)
     tracker = TargetTracker(TrackerParams(filter=FilterParams(antenna=antenna)))
     legs = ((0.0, -10.0), (70.0, 80.0)), ((90.0, 40.0), (0.0, 60.0))
-    places = [place for begin, end in legs for place in leg(begin, end, 100)]
-    for step, place in enumerate(places):
-        range_m = range_to(place, TARGET) + float(rng.normal(0.0, 0.3))
-        bearing_rad = bearing_to(place, TARGET) + float(rng.normal(0.0, 0.05))
+    positions = [position for begin, end in legs for position in leg(begin, end, 100)]
+    for step, position in enumerate(positions):
+        range_m = range_to(position, TARGET) + float(rng.normal(0.0, 0.3))
+        bearing_rad = bearing_to(position, TARGET) + float(rng.normal(0.0, 0.05))
         seen = replace(measured(0.2 * step, range_m, bearing_rad), range_sigma_m=claimed_m)
-        tracker.fuse(seen, place, seen.measured_at_s)
+        tracker.fuse(seen, position, seen.measured_at_s)
     return tracker
 
 

@@ -29,9 +29,9 @@ def ranged(prior: SearchPrior | None, north_m: float, seed: int) -> TargetTracke
     rng, tracker = np.random.default_rng(seed), TargetTracker(TrackerParams())
     tracker.prior = prior
     for second in range(30):
-        place = (-75.0 + 5.0 * second, 0.0, 20.0)
-        range_m = math.dist(place, (0.0, north_m, 0.0)) + rng.normal(0.0, 1.0)
-        tracker.fuse(RangingMeasurement(1, float(second), range_m=range_m), place, float(second))
+        position = (-75.0 + 5.0 * second, 0.0, 20.0)
+        range_m = math.dist(position, (0.0, north_m, 0.0)) + rng.normal(0.0, 1.0)
+        tracker.fuse(RangingMeasurement(1, float(second), range_m=range_m), position, float(second))
     return tracker
 
 

@@ -1,4 +1,4 @@
-"""From hypotheses to what is told: place, R95, state."""
+"""From hypotheses to the estimate: position, R95, state."""
 
 from __future__ import annotations
 
@@ -157,8 +157,8 @@ def test_a_receiver_without_corrections_counts_half_as_much_again() -> None:
 
 @pytest.mark.parametrize("own", [RTK, CITY])
 def test_the_own_place_changes_nothing_that_stops_the_search(own: PositionAccuracy) -> None:
-    for places in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
-        here, there = _told(*places), _told(*places, own=own)
+    for hypotheses in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
+        here, there = _told(*hypotheses), _told(*hypotheses, own=own)
         assert here.settled_r95_m == there.settled_r95_m
         assert (here.state, here.covariance_m2) == (there.state, there.covariance_m2)
 

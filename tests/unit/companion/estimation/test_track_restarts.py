@@ -30,16 +30,16 @@ from tests.unit.companion.estimation.tracker_helpers import (
 )
 
 
-def _far_away(tracker: TargetTracker, places: Iterable[PositionEnu], emitter: Point) -> int:
-    """Noisy measurements of another place than the one believed; how often it restarted."""
+def _far_away(tracker: TargetTracker, positions: Iterable[PositionEnu], emitter: Point) -> int:
+    """Fuse noisy measurements of another position than the estimated one; count the restarts."""
     rng, restarts = np.random.default_rng(9), 0
-    for step, place in enumerate(places):
+    for step, position in enumerate(positions):
         seen = measured(
             1000.0 + step,
-            range_to(place, emitter) + float(rng.normal(0.0, 1.5)),
-            bearing_to(place, emitter) + float(rng.normal(0.0, 0.03)),
+            range_to(position, emitter) + float(rng.normal(0.0, 1.5)),
+            bearing_to(position, emitter) + float(rng.normal(0.0, 0.03)),
         )
-        restarts += tracker.fuse(seen, place, 1000.0 + step).restarted
+        restarts += tracker.fuse(seen, position, 1000.0 + step).restarted
     return restarts
 
 
@@ -77,9 +77,9 @@ def test_ranges_that_no_place_and_no_offset_explains_in_metres_are_not_used() ->
     fly_around(tracker, (0.0, 0.0), range(120))
     for step in range(120, 240):
         angle = 0.25 * step
-        place = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
+        position = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
         short = measured(float(step), 8.0 + 0.1 * (step % 7))
-        tracker.fuse(short, place, float(step))
+        tracker.fuse(short, position, float(step))
     assert tracker.objection(240.0) is Objection.RANGE_UNIT
     assert tracker.rejected[RejectReason.WRONG_UNIT] > 100
 
@@ -89,10 +89,10 @@ def test_the_terms_of_r95_are_known_after_every_measurement() -> None:
     tracker = TargetTracker(TrackerParams(filter=FilterParams(place_range_sigma_m=1.5)))
     target, rng = (30.0, 20.0), np.random.default_rng(6)
     known = 0
-    for step, place in enumerate(corner_walk()):
+    for step, position in enumerate(corner_walk()):
         before = known_by(tracker)
-        seen = measured(float(step), range_to(place, target) + float(rng.normal(0.0, 1.5)))
-        tracker.fuse(seen, place, float(step))
+        seen = measured(float(step), range_to(position, target) + float(rng.normal(0.0, 1.5)))
+        tracker.fuse(seen, position, float(step))
         after = known_by(tracker)
         budget = tracker.budget(float(step))
         known += len(budget) > 5

@@ -58,17 +58,17 @@ def test_the_first_range_and_bearing_are_inverted() -> None:
 
 def test_a_single_range_is_a_ring() -> None:
     tracker = walk_about([(0.0, 0.0, HEIGHT_M)], (40.0, 0.0), True, False)
-    places = np.array([h.state.mean[:2] for h in tracker.hypotheses])
-    np.testing.assert_allclose(np.hypot(*places.T), 40.0)
+    positions = np.array([h.state.mean[:2] for h in tracker.hypotheses])
+    np.testing.assert_allclose(np.hypot(*positions.T), 40.0)
     assert estimate_of(tracker).state is EstimateState.SEARCHING
 
 
 def test_a_single_bearing_is_a_ray() -> None:
     tracker = walk_about([(0.0, 0.0, HEIGHT_M)], (30.0, 30.0), False, True)
-    places = np.array([h.state.mean[:2] for h in tracker.hypotheses])
-    np.testing.assert_allclose(places[:, 0], places[:, 1])
-    assert np.hypot(*places.T).min() < 10.0
-    assert np.hypot(*places.T).max() > 100.0
+    positions = np.array([h.state.mean[:2] for h in tracker.hypotheses])
+    np.testing.assert_allclose(positions[:, 0], positions[:, 1])
+    assert np.hypot(*positions.T).min() < 10.0
+    assert np.hypot(*positions.T).max() > 100.0
 
 
 @pytest.mark.parametrize(
@@ -96,8 +96,8 @@ def test_a_straight_walk_with_ranges_only_leaves_a_mirror_image(target: Point) -
     assert estimate.alternative_enu_m is not None
     found = sorted([estimate.position_enu_m, estimate.alternative_enu_m], key=lambda p: p[1])
     mirrored = sorted([target, (target[0], -target[1])], key=lambda p: p[1])
-    for place, expected in zip(found, mirrored, strict=True):
-        assert math.dist(place, expected) < 6.0
+    for position, expected in zip(found, mirrored, strict=True):
+        assert math.dist(position, expected) < 6.0
     assert math.dist(estimate.position_enu_m, target) <= estimate.r95_m
 
 
@@ -145,7 +145,7 @@ def test_a_lost_covariance_restarts_it_and_says_so() -> None:
     azimuth = AntennaParams(kind="azimuth")
     believed = FilterParams(own_position_sigma_m=0.0, near_target_terms=False, antenna=azimuth)
     tracker = TargetTracker(TrackerParams(filter=believed))
-    place = (0.0, 0.0, HEIGHT_M)
+    position = (0.0, 0.0, HEIGHT_M)
     restarted = False
     for step in range(20):
         seen = RangingMeasurement(
@@ -157,7 +157,7 @@ def test_a_lost_covariance_restarts_it_and_says_so() -> None:
             bearing_sigma_rad=1e-30,
             least_sigmas=(1e-30, 1e-30, None),
         )
-        report = tracker.fuse(seen, place, float(step))
+        report = tracker.fuse(seen, position, float(step))
         restarted = restarted or report.restarted
         if report.restarted:
             assert report.update is None
@@ -197,9 +197,11 @@ def test_reflections_are_counted() -> None:
     rng = np.random.default_rng(3)
     for step in range(200, 500):
         angle = 0.25 * step
-        place = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
-        range_m = range_to(place, (0.0, 0.0)) + 8.0 + float(rng.normal(0.0, 0.5))
-        tracker.fuse(measured(float(step), range_m, bearing_to(place, (0, 0))), place, float(step))
+        position = (25.0 * math.cos(angle), 25.0 * math.sin(angle), HEIGHT_M)
+        range_m = range_to(position, (0.0, 0.0)) + 8.0 + float(rng.normal(0.0, 0.5))
+        tracker.fuse(
+            measured(float(step), range_m, bearing_to(position, (0, 0))), position, float(step)
+        )
     assert tracker.health.nlos_share > 0.3
 
 
@@ -211,7 +213,7 @@ STEP_M = 5.0
 def _coverage_of_run(seed: int, p_nlos: float, kind: AntennaKind) -> list[bool]:
     """One search from 30 to 60 m away; whether R95 holds the truth at each checked step.
 
-    All is as the filter believes it, the error of the vehicle's own place included, but for
+    All is as the filter believes it, the error of the vehicle's own position included, but for
     reflections.
     """
     rng = np.random.default_rng(seed)
@@ -222,29 +224,29 @@ def _coverage_of_run(seed: int, p_nlos: float, kind: AntennaKind) -> list[bool]:
     offset_rad = rng.normal(0.0, math.radians(params.bearing_offset_sigma_deg))
     bearing_sigma_rad = math.radians(params.bearing_sigma_deg)
     start_rad, start_m = rng.uniform(-math.pi, math.pi), rng.uniform(30.0, 60.0)
-    place: PositionEnu = (start_m * math.cos(start_rad), start_m * math.sin(start_rad), HEIGHT_M)
+    position: PositionEnu = (start_m * math.cos(start_rad), start_m * math.sin(start_rad), HEIGHT_M)
     own_error_m = rng.normal(0.0, params.own_position_sigma_m, 2)
     memory: Latch | None = None
     covered = []
     for step in range(1, max(CHECKED_STEPS) + 1):
         is_nlos = rng.random() < p_nlos
-        range_m = range_to(place, (0.0, 0.0)) + offset_m + rng.normal(0.0, params.range_sigma_m)
-        bearing_rad = bearing_to(place, (0.0, 0.0)) + offset_rad
+        range_m = range_to(position, (0.0, 0.0)) + offset_m + rng.normal(0.0, params.range_sigma_m)
+        bearing_rad = bearing_to(position, (0.0, 0.0)) + offset_rad
         bearing_rad += rng.normal(0.0, bearing_sigma_rad)
         if is_nlos:
             range_m += rng.exponential(8.0)
             bearing_rad += rng.normal(0.0, math.radians(5.0))
-        believed = (place[0] + own_error_m[0], place[1] + own_error_m[1], HEIGHT_M)
+        believed = (position[0] + own_error_m[0], position[1] + own_error_m[1], HEIGHT_M)
         tracker.fuse(measured(float(step), max(range_m, 0.1), bearing_rad), believed, float(step))
         estimate = estimate_of(tracker)
         if step in CHECKED_STEPS:
             covered.append(math.hypot(*estimate.position_enu_m) <= estimate.r95_m)
-        plan = planner.plan(PlanRequest(place[:2], estimate), memory)
+        plan = planner.plan(PlanRequest(position[:2], estimate), memory)
         memory = plan.memory
         aim = plan.waypoint.position_enu_m
-        share = min(1.0, STEP_M / math.dist(place[:2], aim))
-        east, north = (place[i] + share * (aim[i] - place[i]) for i in range(2))
-        place = (east, north, HEIGHT_M)
+        share = min(1.0, STEP_M / math.dist(position[:2], aim))
+        east, north = (position[i] + share * (aim[i] - position[i]) for i in range(2))
+        position = (east, north, HEIGHT_M)
     return covered
 
 
@@ -281,10 +283,10 @@ def test_the_estimate_is_always_that_of_now_however_often_it_was_asked_for() -> 
         tracker._kept_estimate = KeptEstimate()
         assert tracker.estimate(9.0) == kept
 
-    for step, place in enumerate(corner_walk()[:90]):
+    for step, position in enumerate(corner_walk()[:90]):
         is_ranging = step % 7 != 3
         seen = measured(float(step), 40.0 if is_ranging else 900.0, None)
-        tracker.fuse(seen, place, float(step), accuracy if step > 30 else None)
+        tracker.fuse(seen, position, float(step), accuracy if step > 30 else None)
         check()
         if step == 40:
             tracker.move((3.0, -2.0, 1.5), 0.1, 0.5)
@@ -316,14 +318,14 @@ def test_the_filters_are_not_all_the_same() -> None:
     for kind in KINDS:
         tracker = TargetTracker(TrackerParams(kind=kind, window=params))
         rng = np.random.default_rng(4)
-        for step, place in enumerate(corner_walk()):
+        for step, position in enumerate(corner_walk()):
             longer_m = float(rng.exponential(8.0))
             seen = measured(
                 float(step),
-                range_to(place, (30.0, 40.0)) + longer_m,
-                bearing_to(place, (30, 40)),
+                range_to(position, (30.0, 40.0)) + longer_m,
+                bearing_to(position, (30, 40)),
             )
-            tracker.fuse(seen, place, float(step))
+            tracker.fuse(seen, position, float(step))
         found.add(known_by(tracker)[0])
     assert len(found) == len(KINDS)
 
@@ -333,20 +335,20 @@ def _in_space(params: FilterParams, up_m: float, scale: float) -> TargetEstimate
     tracker, rng = TargetTracker(TrackerParams(filter=params)), np.random.default_rng(3)
     target, restarts = (30.0, 40.0, up_m), 0
     for step, (east, north, _) in enumerate(corner_walk() + corner_walk()[::-1]):
-        place = (east, north, 15.0 + 0.1 * step)
-        slant_m = math.dist(place, target)
-        up_rad = math.asin((up_m - place[2]) / slant_m) + float(rng.normal(0.0, 0.05))
+        position = (east, north, 15.0 + 0.1 * step)
+        slant_m = math.dist(position, target)
+        up_rad = math.asin((up_m - position[2]) / slant_m) + float(rng.normal(0.0, 0.05))
         seen = replace(
             measured(
                 float(step),
                 (1.0 + scale) * slant_m + float(rng.normal(0.0, 1.0)),
-                bearing_to(place, target[:2]) + float(rng.normal(0.0, 0.03)),
+                bearing_to(position, target[:2]) + float(rng.normal(0.0, 0.03)),
             ),
             range_sigma_m=1.0,
             elevation_rad=up_rad,
             elevation_sigma_rad=0.05,
         )
-        restarts += tracker.fuse(seen, place, float(step)).restarted
+        restarts += tracker.fuse(seen, position, float(step)).restarted
     assert restarts == 0
     return estimate_of(tracker)
 
@@ -399,14 +401,14 @@ def test_what_the_track_can_tell_is_a_live_value() -> None:
     assert tracker.health.observability is None
     target = (30.0, 25.0)
     line = leg((0.0, 0.0), (80.0, 0.0), 60)
-    for step, place in enumerate(line):
-        tracker.fuse(measured(float(step), range_to(place, target)), place, float(step))
+    for step, position in enumerate(line):
+        tracker.fuse(measured(float(step), range_to(position, target)), position, float(step))
     straight = tracker.health.observability
     assert straight is not None
     assert straight.is_collinear
     assert straight.bilateral_share > 0.9
-    for step, place in enumerate(leg((80.0, 1.0), (80.0, 60.0), 60)):
-        tracker.fuse(measured(60.0 + step, range_to(place, target)), place, 60.0 + step)
+    for step, position in enumerate(leg((80.0, 1.0), (80.0, 60.0), 60)):
+        tracker.fuse(measured(60.0 + step, range_to(position, target)), position, 60.0 + step)
     turned = tracker.health.observability
     assert turned is not None
     assert not turned.is_collinear

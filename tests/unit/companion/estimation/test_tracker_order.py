@@ -28,16 +28,16 @@ from tests.unit.companion.estimation.tracker_helpers import (
 def test_a_duplicate_changes_nothing_however_often_it_comes(has_stamp: bool) -> None:
     once, often = TargetTracker(TrackerParams()), TargetTracker(TrackerParams())
     rng = np.random.default_rng(1)
-    for step, place in enumerate(corner_walk()[:60]):
+    for step, position in enumerate(corner_walk()[:60]):
         seen = replace(
-            measured(float(step), range_to(place, (30.0, 40.0)) + float(rng.normal())),
+            measured(float(step), range_to(position, (30.0, 40.0)) + float(rng.normal())),
             stamp_us=10_000 + step if has_stamp else None,
         )
-        once.fuse(seen, place, float(step))
-        assert often.fuse(seen, place, float(step)).reject_reason is None
+        once.fuse(seen, position, float(step))
+        assert often.fuse(seen, position, float(step)).reject_reason is None
         for again_s in (0.0, 0.2, 0.9):
             copy = replace(seen, measured_at_s=seen.measured_at_s + 0.01) if has_stamp else seen
-            report = often.fuse(copy, place, float(step) + again_s)
+            report = often.fuse(copy, position, float(step) + again_s)
             assert report.reject_reason is RejectReason.DUPLICATE
             assert report.update is None
     assert known_by(often) == known_by(once)
@@ -58,16 +58,16 @@ def _delayed(delays_s: list[float], params: TrackerParams) -> TargetTracker:
     """Noisy measurements along a walk, fused as they arrive, each where it was taken."""
     rng, tracker, target = np.random.default_rng(2), TargetTracker(params), (30.0, 40.0)
     arrivals = []
-    for step, place in enumerate(corner_walk()):
+    for step, position in enumerate(corner_walk()):
         seen = measured(
             0.1 * step,
-            range_to(place, target) + float(rng.normal(0.0, 1.5)),
-            bearing_to(place, target) + float(rng.normal(0.0, 0.03)),
+            range_to(position, target) + float(rng.normal(0.0, 1.5)),
+            bearing_to(position, target) + float(rng.normal(0.0, 0.03)),
         )
         delay_s = delays_s[step % len(delays_s)]
-        arrivals.append((seen.measured_at_s + delay_s, step, seen, place))
-    for now_s, _, seen, place in sorted(arrivals):
-        assert tracker.fuse(seen, place, now_s).reject_reason is None
+        arrivals.append((seen.measured_at_s + delay_s, step, seen, position))
+    for now_s, _, seen, position in sorted(arrivals):
+        assert tracker.fuse(seen, position, now_s).reject_reason is None
     return tracker
 
 

@@ -69,11 +69,11 @@ def search(
         cos, sin = math.cos(course), math.sin(course)
         east = TARGET[0] + along_m * cos - aside_m * sin
         north = TARGET[1] + along_m * sin + aside_m * cos
-        place = (east, north, HEIGHT_M)
+        position = (east, north, HEIGHT_M)
         roll, pitch = rng.normal(0.0, 0.1, 2).tolist()
         attitude = Attitude(-0.5 * math.pi - course, (roll, pitch))
         axes = antenna_axes_enu((roll, pitch, attitude.yaw_ned_rad), mounted_deg)
-        to = np.array(TARGET) - place
+        to = np.array(TARGET) - position
         slant_m = float(np.linalg.norm(to))
         _, y, z = np.array(axes) @ to / slant_m + SIGMA_RAD * rng.standard_normal(3)
         told = RangingMeasurement(
@@ -85,7 +85,7 @@ def search(
             is_array_angle=True,
         )
         own = before if time_s < lost_from_s else LOST
-        tracker.fuse(seen_in_enu(told, known(time_s, attitude), antenna), place, time_s, own)
+        tracker.fuse(seen_in_enu(told, known(time_s, attitude), antenna), position, time_s, own)
     estimate = tracker.estimate(time_s)
     assert estimate is not None
     return tracker, estimate

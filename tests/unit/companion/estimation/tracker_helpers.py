@@ -1,4 +1,4 @@
-"""Places, walks and measurements that the tests of the tracker share."""
+"""Positions, walks and measurements that the tests of the tracker share."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def measured(
     )
 
 
-def range_to(place: PositionEnu, target: Point) -> float:
-    return math.dist(place, (*target, 0.0))
+def range_to(position: PositionEnu, target: Point) -> float:
+    return math.dist(position, (*target, 0.0))
 
 
-def bearing_to(place: PositionEnu, target: Point) -> float:
-    return math.atan2(target[1] - place[1], target[0] - place[0])
+def bearing_to(position: PositionEnu, target: Point) -> float:
+    return math.atan2(target[1] - position[1], target[0] - position[0])
 
 
 def leg(start: Point, end: Point, steps: int) -> list[PositionEnu]:
@@ -53,17 +53,17 @@ def estimate_of(tracker: TargetTracker) -> TargetEstimate:
 
 
 def walk_about(
-    places: Iterable[PositionEnu], target: Point, has_range: bool, has_bearing: bool
+    positions: Iterable[PositionEnu], target: Point, has_range: bool, has_bearing: bool
 ) -> TargetTracker:
     """Noiseless measurements of an emitter without offsets along a walk."""
     tracker = TargetTracker(TrackerParams())
-    for step, place in enumerate(places):
+    for step, position in enumerate(positions):
         seen = measured(
             float(step),
-            range_to(place, target) if has_range else None,
-            bearing_to(place, target) if has_bearing else None,
+            range_to(position, target) if has_range else None,
+            bearing_to(position, target) if has_bearing else None,
         )
-        assert tracker.fuse(seen, place, float(step)).reject_reason is None
+        assert tracker.fuse(seen, position, float(step)).reject_reason is None
     return tracker
 
 
@@ -73,13 +73,17 @@ def fly_around(tracker: TargetTracker, target: Point, steps: range, turned_rad: 
     restarts = 0
     for step in steps:
         angle = 0.25 * step
-        place = (target[0] + 25.0 * math.cos(angle), target[1] + 25.0 * math.sin(angle), HEIGHT_M)
+        position = (
+            target[0] + 25.0 * math.cos(angle),
+            target[1] + 25.0 * math.sin(angle),
+            HEIGHT_M,
+        )
         seen = measured(
             float(step),
-            range_to(place, target) + float(rng.normal(0.0, 1.5)),
-            bearing_to(place, target) + turned_rad + float(rng.normal(0.0, 0.03)),
+            range_to(position, target) + float(rng.normal(0.0, 1.5)),
+            bearing_to(position, target) + turned_rad + float(rng.normal(0.0, 0.03)),
         )
-        restarts += tracker.fuse(seen, place, float(step)).restarted
+        restarts += tracker.fuse(seen, position, float(step)).restarted
     return restarts
 
 

@@ -26,8 +26,8 @@ HOUSE = ((10.0, 10.0), (30.0, 10.0), (30.0, 30.0), (10.0, 30.0))
 
 
 def on_globe(corners: tuple[Point, ...], origin: LocalOrigin = ZURICH) -> GeoArea:
-    places = [origin.geodetic_from_enu((east, north, 0.0)) for east, north in corners]
-    return GeoArea(tuple((lat, lon) for lat, lon, _ in places))
+    positions = [origin.geodetic_from_enu((east, north, 0.0)) for east, north in corners]
+    return GeoArea(tuple((lat, lon) for lat, lon, _ in positions))
 
 
 def named(area: GeoArea, path: str = "it", *, is_inclusion: bool = True) -> NamedArea:
@@ -216,9 +216,9 @@ class TestDifference:
         assert difference(LocalFence(long), LocalFence(long[::-1]), 1.0) is None
 
 
-PLACES: tuple[LatLon, ...] = on_globe(SQUARE).corners_deg
+CORNERS_DEG: tuple[LatLon, ...] = on_globe(SQUARE).corners_deg
 
 
 def test_areas_are_values() -> None:
-    assert GeoArea(PLACES) == GeoArea(PLACES)
-    assert hash(GeoFence(GeoArea(PLACES))) == hash(GeoFence(GeoArea(PLACES)))
+    assert GeoArea(CORNERS_DEG) == GeoArea(CORNERS_DEG)
+    assert hash(GeoFence(GeoArea(CORNERS_DEG))) == hash(GeoFence(GeoArea(CORNERS_DEG)))

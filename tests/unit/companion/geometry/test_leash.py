@@ -41,10 +41,10 @@ def test_who_is_too_far_already_may_only_come_nearer() -> None:
     assert limited_to_reach(start, (-300.0, 0.0), HOME, 50.0) == pytest.approx((-90.0, 0.0))
 
 
-places = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
+positions = st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 
 
-@given(places, places, places, st.floats(0.0, 400.0))
+@given(positions, positions, positions, st.floats(0.0, 400.0))
 def test_no_way_leads_too_far_and_none_is_cut_too_soon(
     start: Point, goal: Point, home: Point, reach_m: float
 ) -> None:

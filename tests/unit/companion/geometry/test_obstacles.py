@@ -18,7 +18,7 @@ from companion.geometry.polygons import Point, depth_m, nearest_on_segment
 SQUARE = ((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))
 HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
 
-places = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
+positions = st.tuples(st.floats(-150.0, 150.0), st.floats(-150.0, 150.0))
 
 
 @st.composite
@@ -64,7 +64,7 @@ def test_free_is_inside_and_outside_by_the_margin(point: Point, allowed: bool) -
     assert FreeSpace(SQUARE[::-1], [HOUSE[::-1]], 2.0).allows(point) is allowed
 
 
-@given(spaces(), places)
+@given(spaces(), positions)
 def test_only_edges_nearby_decide_and_that_is_enough(space: FreeSpace, point: Point) -> None:
     fences = space.borders[: len(space.borders) - len(space.keep_out_enu_m)]
     depths_m = [depth_m(fence, point) for fence in fences]
@@ -117,7 +117,7 @@ def test_a_leg_is_cut_into_what_is_free_of_it() -> None:
 
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
-@given(spaces(), places, places)
+@given(spaces(), positions, positions)
 def test_pieces_and_clearness_agree_with_dense_samples(
     space: FreeSpace, start: Point, end: Point
 ) -> None:
@@ -136,7 +136,7 @@ def test_pieces_and_clearness_agree_with_dense_samples(
 
 
 @settings(max_examples=60, deadline=None)
-@given(spaces(), places)
+@given(spaces(), positions)
 def test_no_allowed_point_of_a_fine_grid_is_nearer(space: FreeSpace, point: Point) -> None:
     nearest = space.nearest_allowed(point)
     grid = [(-150.0 + 7.5 * i, -150.0 + 7.5 * j) for i in range(41) for j in range(41)]
@@ -165,7 +165,7 @@ def test_the_nearest_allowed_point(point: Point, nearest: Point) -> None:
 
 
 def test_in_the_nook_between_two_rounded_corners() -> None:
-    """Two masts 3 m apart, 2 m to keep from both: the nearest place is where the circles meet."""
+    """Two masts 3 m apart, 2 m clear of both: the nearest position is where the circles meet."""
     masts = [
         ((-1.6, 0.0), (-1.5, -0.05), (-1.5, 0.05)),
         ((1.5, -0.05), (1.6, 0.0), (1.5, 0.05)),
@@ -207,7 +207,7 @@ def test_shares_in_a_capsule() -> None:
     assert share_in_capsule((5.0, 1.5), (5.0, 1.5), edge, 1.0) is None
 
 
-@given(places, places, places, places, st.floats(0.1, 20.0))
+@given(positions, positions, positions, positions, st.floats(0.1, 20.0))
 def test_a_leg_is_in_a_capsule_exactly_between_its_shares(
     start: Point, end: Point, a: Point, b: Point, radius_m: float
 ) -> None:

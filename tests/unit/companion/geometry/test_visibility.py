@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.geometry.obstacles import NODE_SLACK_M, FreeSpace, WayFinder, between
 from companion.geometry.polygons import Point
-from tests.unit.companion.geometry.test_obstacles import places, stars
+from tests.unit.companion.geometry.test_obstacles import positions, stars
 
 SQUARE = ((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))
 HOUSE = ((10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0))
@@ -47,7 +47,7 @@ def test_around_a_house() -> None:
     way = finder.way((5.0, 14.0), (25.0, 14.0))
     assert way is not None
     assert len(way) == 5  # two nodes at each of two corners, and the goal
-    assert all(north < 10.0 or place == way[-1] for place in way for north in place[1:])
+    assert all(north < 10.0 or position == way[-1] for position in way for north in position[1:])
     arcs_m = math.pi  # two quarters of a circle of 1 m
     shortest_m = 10.0 + 2.0 * math.hypot(4.0, 4.0) + arcs_m
     assert _length_m((5.0, 14.0), way) == pytest.approx(shortest_m, rel=0.05)
@@ -83,7 +83,7 @@ def test_the_nodes_keep_the_margin() -> None:
 
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
-@given(finders(), places, places)
+@given(finders(), positions, positions)
 def test_every_leg_of_a_way_is_free_and_it_ends_at_the_goal(
     finder: WayFinder, start: Point, goal: Point
 ) -> None:
@@ -106,21 +106,21 @@ def test_every_leg_of_a_way_is_free_and_it_ends_at_the_goal(
 
 @pytest.mark.slow
 @settings(max_examples=100, deadline=None)
-@given(finders(), places, places)
+@given(finders(), positions, positions)
 def test_replanned_at_every_corner_it_arrives(finder: WayFinder, start: Point, goal: Point) -> None:
-    place, end = finder.space.nearest_allowed(start), finder.space.nearest_allowed(goal)
-    assume(place is not None and end is not None)
-    assert place is not None
+    position, end = finder.space.nearest_allowed(start), finder.space.nearest_allowed(goal)
+    assume(position is not None and end is not None)
+    assert position is not None
     assert end is not None
     left_m = math.inf
     for _ in range(len(finder.nodes) + 1):
-        way = finder.way(place, end)
+        way = finder.way(position, end)
         assume(way is not None)
         assert way is not None
-        assert _length_m(place, way) < left_m + NODE_SLACK_M
+        assert _length_m(position, way) < left_m + NODE_SLACK_M
         left_m = _length_m(way[0], way[1:])
-        place = way[0]
-        if place == end:
+        position = way[0]
+        if position == end:
             return
     pytest.fail("it goes round in circles")
 
@@ -128,8 +128,8 @@ def test_replanned_at_every_corner_it_arrives(finder: WayFinder, start: Point, g
 def _grid_way_m(space: FreeSpace, start: Point, goal: Point) -> float | None:
     """The shortest way along the clear legs of a grid, by Dijkstra; None if there is none."""
 
-    def near(place: Point) -> list[Point]:
-        east, north = (round(v / GRID_M) for v in place)
+    def near(position: Point) -> list[Point]:
+        east, north = (round(v / GRID_M) for v in position)
         around = [(east + i, north + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
         return [(GRID_M * i, GRID_M * j) for i, j in around]
 
@@ -151,7 +151,7 @@ def _grid_way_m(space: FreeSpace, start: Point, goal: Point) -> float | None:
 
 @pytest.mark.slow
 @settings(max_examples=30, deadline=None)
-@given(finders(), places, places)
+@given(finders(), positions, positions)
 def test_no_way_along_a_grid_is_shorter(finder: WayFinder, start: Point, goal: Point) -> None:
     begin, end = finder.space.nearest_allowed(start), finder.space.nearest_allowed(goal)
     assume(begin is not None and end is not None)

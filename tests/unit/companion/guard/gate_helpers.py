@@ -26,9 +26,9 @@ START = (0.0, 0.0, 30.0)
 
 
 def motion(
-    place: Position, velocity: Position = (0.0, 0.0, 0.0), battery_pct: float | None = None
+    position: Position, velocity: Position = (0.0, 0.0, 0.0), battery_pct: float | None = None
 ) -> Motion:
-    return Motion(place, velocity, HOME, battery_pct)
+    return Motion(position, velocity, HOME, battery_pct)
 
 
 def flown(

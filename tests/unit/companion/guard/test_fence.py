@@ -22,7 +22,7 @@ HORSESHOE = (
     (0.0, 60.0),
 )
 
-places = st.tuples(st.floats(-400.0, 400.0), st.floats(-400.0, 400.0))
+positions = st.tuples(st.floats(-400.0, 400.0), st.floats(-400.0, 400.0))
 
 
 @st.composite
@@ -128,7 +128,7 @@ def test_the_way_back_is_the_nearest_one(point: Point, nearest: Point) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(fences(), places)
+@given(fences(), positions)
 def test_no_allowed_point_of_a_fine_grid_is_nearer(fence: Fence, point: Point) -> None:
     """Brute force over the bounding box."""
     nearest = fence.nearest_allowed(point)
@@ -141,7 +141,7 @@ def test_no_allowed_point_of_a_fine_grid_is_nearer(fence: Fence, point: Point) -
 
 
 @settings(max_examples=60, deadline=None)
-@given(fences(), places, places)
+@given(fences(), positions, positions)
 def test_the_way_is_followed_as_far_as_it_is_allowed(
     fence: Fence, start: Point, goal: Point
 ) -> None:
@@ -191,10 +191,10 @@ def test_a_start_that_is_not_allowed_goes_inwards_whatever_the_goal() -> None:
         assert fence.limited((-5.0, 20.0), goal) == pytest.approx((3.0, 20.0), abs=1e-5)
 
 
-@pytest.mark.parametrize("place", [(1e308, -1e308), (math.inf, 0.0), (math.nan, math.nan)])
-def test_an_absurd_place_still_has_a_way_back(place: Point) -> None:
+@pytest.mark.parametrize("position", [(1e308, -1e308), (math.inf, 0.0), (math.nan, math.nan)])
+def test_an_absurd_place_still_has_a_way_back(position: Point) -> None:
     for fence in (Fence(HORSESHOE, 3.0), Fence(SQUARE, 3.0)):
-        assert fence.allows(fence.nearest_allowed(place))
+        assert fence.allows(fence.nearest_allowed(position))
 
 
 def test_repeated_corners_are_harmless() -> None:
@@ -248,7 +248,7 @@ def test_setpoints_keep_the_margin_to_keep_outs() -> None:
 
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
-@given(fences(), places, st.floats(3.0, 30.0), places, places)
+@given(fences(), positions, st.floats(3.0, 30.0), positions, positions)
 def test_no_step_ends_in_a_keep_out(
     fence: Fence, centre: Point, radius_m: float, start: Point, goal: Point
 ) -> None:

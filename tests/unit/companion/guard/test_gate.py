@@ -123,8 +123,8 @@ class TestHolding:
         assert held.reasons == (GuardReason.ALTITUDE,)
 
     def test_standing_moves_nothing_even_outside_of_fence_and_band(self) -> None:
-        for place in (START, (150.0, 0.0, 30.0), (0.0, 0.0, 90.0), (0.0, 0.0, 3.0)):
-            assert GUARD.stand(place) == Guarded(place)
+        for position in (START, (150.0, 0.0, 30.0), (0.0, 0.0, 90.0), (0.0, 0.0, 3.0)):
+            assert GUARD.stand(position) == Guarded(position)
         with pytest.raises(ValueError, match=r"^the position to hold is not a number$"):
             GUARD.stand((0.0, math.nan, 30.0))
 
@@ -212,19 +212,19 @@ class TestWhatIsNoNumber:
     def test_a_goal_keeps_the_setpoint(self, axis: int, value: float) -> None:
         goal = list(START)
         goal[axis] = value
-        place = (goal[0], goal[1], goal[2])
-        assert GUARD.towards(place, self.FAST, motion(START), 0.1) == self.KEPT
+        position = (goal[0], goal[1], goal[2])
+        assert GUARD.towards(position, self.FAST, motion(START), 0.1) == self.KEPT
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
     @pytest.mark.parametrize("value", [math.nan, math.inf, -1e6 - 0.5, 1e6 + 0.5])
     def test_a_vehicle_keeps_the_setpoint(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
-        place = (odd[0], odd[1], odd[2])
+        position = (odd[0], odd[1], odd[2])
         for strange in (
-            Motion(place, START, HOME),
-            Motion(START, place, HOME),
-            Motion(START, START, place),
+            Motion(position, START, HOME),
+            Motion(START, position, HOME),
+            Motion(START, START, position),
         ):
             assert GUARD.towards((50.0, 0.0, 30.0), self.FAST, strange, 0.1) == self.KEPT
 
@@ -233,27 +233,27 @@ class TestWhatIsNoNumber:
     def test_nobody_stays_at_a_place_that_is_none(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
-        place = (odd[0], odd[1], odd[2])
+        position = (odd[0], odd[1], odd[2])
         problem = "the position of vehicle or home is not a number"
         for guard in (GUARD, Guard(replace(LIMITS, fence=None))):
-            for nowhere in (motion(place), Motion(START, (0.0, 0.0, 0.0), place)):
+            for nowhere in (motion(position), Motion(START, (0.0, 0.0, 0.0), position)):
                 with pytest.raises(ValueError, match=f"^{problem}$"):
                     guard.here(nowhere)
                 with pytest.raises(ValueError, match=f"^{problem}$"):
-                    guard.towards((9.0, 0.0, 30.0), Guarded(place), nowhere, 0.1)
+                    guard.towards((9.0, 0.0, 30.0), Guarded(position), nowhere, 0.1)
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
     @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
     def test_after_a_setpoint_that_was_none_it_begins_anew(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
-        place = (odd[0], odd[1], odd[2])
+        position = (odd[0], odd[1], odd[2])
         at_the_vehicle = Guarded((4.0, 5.0, 30.0), (GuardReason.NOT_FINITE,))
         for guard in (GUARD, Guard(replace(LIMITS, fence=None))):
-            for last in (Guarded(place), Guarded(START, (), place)):
+            for last in (Guarded(position), Guarded(START, (), position)):
                 now = motion((4.0, 5.0, 30.0), (1.0, 0.0, 0.0))
                 assert guard.towards((9.0, 0.0, 30.0), last, now, 0.1) == at_the_vehicle
-                assert guard.hold(Guarded(place), now, 0.1) == at_the_vehicle
+                assert guard.hold(Guarded(position), now, 0.1) == at_the_vehicle
 
     def test_a_home_far_away_is_still_a_place(self) -> None:
         far = Motion(START, (0.0, 0.0, 0.0), (-1e6, 1e6, 10.0))

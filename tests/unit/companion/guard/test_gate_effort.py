@@ -39,8 +39,8 @@ def disc(east: float, north: float, radius_m: float) -> Corners:
 
 def discs() -> tuple[Corners, ...]:
     """Five round exclusions that overlap."""
-    places = ((100.0, 100.0), (190.0, 100.0), (100.0, 190.0), (190.0, 190.0))
-    return (*(disc(*place, 50.0) for place in places), disc(145.0, 145.0, 30.0))
+    positions = ((100.0, 100.0), (190.0, 100.0), (100.0, 190.0), (190.0, 190.0))
+    return (*(disc(*position, 50.0) for position in positions), disc(145.0, 145.0, 30.0))
 
 
 def counted(original: Callable[..., object], seen: list[str]) -> Callable[..., object]:
@@ -63,7 +63,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("polygon", "keep_outs", "place"),
+    ("polygon", "keep_outs", "position"),
     [
         (comb(), (), (200.0, 299.0)),
         (comb(), (), (203.5, 200.0)),
@@ -76,15 +76,18 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ],
 )
 def test_the_way_back_does_not_take_longer_the_more_corners_meet(
-    polygon: Corners, keep_outs: tuple[Corners, ...], place: Point, monkeypatch: pytest.MonkeyPatch
+    polygon: Corners,
+    keep_outs: tuple[Corners, ...],
+    position: Point,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     guard = Guard(replace(LIMITS, fence=Fence(polygon, 3.0, keep_outs)))
     edges = len(polygon) + sum(map(len, keep_outs))
-    vehicle = Motion((*place, 20.0), (0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
+    vehicle = Motion((*position, 20.0), (0.5, 0.5, 0.0), (0.0, 0.0, 0.0))
     seen = looks(monkeypatch)
-    tick = guard.towards((390.0, 290.0, 20.0), Guarded((*place, 20.0)), vehicle, 0.05)
+    tick = guard.towards((390.0, 290.0, 20.0), Guarded((*position, 20.0)), vehicle, 0.05)
     count = len(seen)
-    is_out = not Fence(polygon, 3.0, keep_outs).allows(place)
+    is_out = not Fence(polygon, 3.0, keep_outs).allows(position)
     assert count <= LOOKS_PER_EDGE * edges
     assert count or not is_out  # in free space perhaps none is near
     assert (GuardReason.OUTSIDE in tick.reasons) is is_out

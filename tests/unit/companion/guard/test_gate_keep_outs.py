@@ -44,10 +44,10 @@ class TestKeepOuts:
     def test_the_way_is_looked_at_from_where_the_setpoint_will_find_the_vehicle(self) -> None:
         """At 4 m/s southwards the vehicle is 2 m farther behind the house after the latency."""
         last = Guarded((9.0, 25.1, 30.0))
-        place = (6.5, 20.2, 30.0)
-        still = self.GUARD.towards((40.0, 25.1, 30.0), last, motion(place), 0.1)
+        position = (6.5, 20.2, 30.0)
+        still = self.GUARD.towards((40.0, 25.1, 30.0), last, motion(position), 0.1)
         assert still.position_enu_m[0] > 9.0
-        moving = motion(place, (0.0, -4.0, 0.0))
+        moving = motion(position, (0.0, -4.0, 0.0))
         kept = self.GUARD.towards((40.0, 25.1, 30.0), last, moving, 0.1)
         assert kept.position_enu_m == (9.0, 25.1, 30.0)
         assert GuardReason.CUT_OFF in kept.reasons

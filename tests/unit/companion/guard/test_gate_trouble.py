@@ -38,10 +38,10 @@ class TestAVehicleInTrouble:
     def test_a_setpoint_that_a_fast_vehicle_has_passed_stays(self, turn: int) -> None:
         """It brakes hardest towards what lies behind it."""
 
-        def turned(place: Point) -> Point:
+        def turned(position: Point) -> Point:
             for _ in range(turn):
-                place = (-place[1], place[0])
-            return place
+                position = (-position[1], position[0])
+            return position
 
         fast = motion((*turned((91.0, 3.0)), 31.0), (*turned((8.0, 2.0)), 0.0))
         behind = Guarded((*turned((90.0, 3.0)), 30.0), (), (1.0, 0.0, 0.0))
@@ -116,12 +116,14 @@ class TestAVehicleInTrouble:
 
     def test_a_climb_takes_no_room_from_the_way_to_stop(self) -> None:
         """4 m/s need 6 m of the 6.1 m to 3 sigma before the fence."""
-        place, climbing = (90.9, 0.0, 30.0), (4.0, 0.0, 2.0)
-        guarded = GUARD.towards((0.0, 0.0, 30.0), Guarded(place), motion(place, climbing), 0.1)
+        position, climbing = (90.9, 0.0, 30.0), (4.0, 0.0, 2.0)
+        guarded = GUARD.towards(
+            (0.0, 0.0, 30.0), Guarded(position), motion(position, climbing), 0.1
+        )
         assert GuardReason.TOO_FAST not in guarded.reasons
 
     def test_a_setpoint_that_a_new_fence_forbids_begins_anew_at_the_vehicle(self) -> None:
         """It is in the margin, where the vehicle itself might be."""
-        place = (90.0, 0.0, 30.0)
-        anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(place), 0.1)
-        assert anew == Guarded(place, (GuardReason.MARGIN,))
+        position = (90.0, 0.0, 30.0)
+        anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(position), 0.1)
+        assert anew == Guarded(position, (GuardReason.MARGIN,))

@@ -28,7 +28,7 @@ OUT = (110.0, 20.0, 30.0)
 
 
 def come_in(
-    place: Position,
+    position: Position,
     *,
     guard: Guard = GUARD,
     follow_s: float = 1.0,
@@ -36,7 +36,7 @@ def come_in(
     drift: Position = AT_REST,
 ) -> tuple[list[Guarded], list[Position]]:
     """Held, a vehicle that is drawn to its setpoint, lags by this time, and drifts in a wind."""
-    vehicles, steps = [place], [guard.here(motion(place))]
+    vehicles, steps = [position], [guard.here(motion(position))]
     for _ in range(ticks):
         last = vehicles[-1]
         rates = [
@@ -95,8 +95,8 @@ class TestFromOutside:
                 assert guarded.velocity_enu_mps == pytest.approx((-2.2, 0.0, 0.0))
 
     def test_within_the_margin_it_is_walked_in_too(self) -> None:
-        place = (97.0, 20.0, 30.0)
-        guarded = GUARD.towards(GOAL, Guarded(place), motion(place), DT_S)
+        position = (97.0, 20.0, 30.0)
+        guarded = GUARD.towards(GOAL, Guarded(position), motion(position), DT_S)
         assert guarded.reasons == (GuardReason.MARGIN,)
         assert guarded.position_enu_m == pytest.approx((96.98, 20.0, 30.0))
 
@@ -112,7 +112,7 @@ class TestFromOutside:
         assert there.velocity_enu_mps == AT_REST
 
     @pytest.mark.parametrize(
-        ("place", "is_on_it"),
+        ("position", "is_on_it"),
         [
             ((109.0, 20.0), True),
             ((109.9, 21.9), True),
@@ -126,10 +126,10 @@ class TestFromOutside:
         ],
     )
     def test_only_a_setpoint_on_the_way_is_gone_on_from(
-        self, place: tuple[float, float], *, is_on_it: bool
+        self, position: tuple[float, float], *, is_on_it: bool
     ) -> None:
         """Never one farther out than the vehicle, nor more than 2 m of a detour."""
-        guarded = GUARD.towards(GOAL, Guarded((*place, 30.0)), motion(OUT), DT_S)
+        guarded = GUARD.towards(GOAL, Guarded((*position, 30.0)), motion(OUT), DT_S)
         from_vehicle = pytest.approx((109.98, 20.0, 30.0))
         assert (guarded.position_enu_m == from_vehicle) is not is_on_it
 
@@ -177,13 +177,13 @@ class TestFromOutside:
         guarded = GUARD.towards(GOAL, fast, motion(OUT), 10.0)
         assert guarded.position_enu_m == pytest.approx((109.0, 20.0, 30.0))
 
-    @pytest.mark.parametrize("place", [(12.0, 0.0, 30.0), (18.5, 3.0, 30.0), (15.01, 0.0, 30.0)])
-    def test_out_of_a_keep_out_it_goes_the_short_way(self, place: Position) -> None:
-        steps, vehicles = come_in(place, guard=HOUSED)
-        assert steps[0].position_enu_m == place
+    @pytest.mark.parametrize("position", [(12.0, 0.0, 30.0), (18.5, 3.0, 30.0), (15.01, 0.0, 30.0)])
+    def test_out_of_a_keep_out_it_goes_the_short_way(self, position: Position) -> None:
+        steps, vehicles = come_in(position, guard=HOUSED)
+        assert steps[0].position_enu_m == position
         assert_is_gentle(steps)
-        end_m = 5.0 if place[0] < 15.0 else 25.0
-        assert vehicles[-1] == pytest.approx((end_m, place[1], 30.0), abs=0.01)
+        end_m = 5.0 if position[0] < 15.0 else 25.0
+        assert vehicles[-1] == pytest.approx((end_m, position[1], 30.0), abs=0.01)
 
     def test_who_shot_through_a_keep_out_is_not_called_back_through_it(self) -> None:
         """It is too fast to stop before the next one, and its setpoint is on the far side."""
@@ -227,11 +227,11 @@ class TestFromAboveOrBelow:
     def test_hold_stops_over_the_ground_at_once_and_still_climbs_into_the_band(
         self, up_m: float
     ) -> None:
-        place = (0.0, 0.0, up_m)
+        position = (0.0, 0.0, up_m)
         climb_mps = math.copysign(1.0, HIGH_M - up_m)
-        last = Guarded(place, (), (5.0, 0.0, climb_mps))
-        held = GUARD.hold(last, motion(place), DT_S)
-        assert held.position_enu_m[:2] == place[:2]
+        last = Guarded(position, (), (5.0, 0.0, climb_mps))
+        held = GUARD.hold(last, motion(position), DT_S)
+        assert held.position_enu_m[:2] == position[:2]
         assert held.velocity_enu_mps == pytest.approx((0.0, 0.0, 1.2 * climb_mps))
 
     def test_in_the_band_a_way_in_stays_at_its_height(self) -> None:

@@ -94,7 +94,7 @@ class ScriptedFlight:
         self.is_armed = False
         self.is_ready = True
         self.is_failsafe = False
-        self.place: PositionEnu = (0.0, 0.0, 20.0)
+        self.position_enu_m: PositionEnu = (0.0, 0.0, 20.0)
         self.targets: dict[int, PositionEnu] = {1: TARGET}
         """What the radio hears, by id."""
         self.bearing_error_rad = 0.0
@@ -171,15 +171,17 @@ class ScriptedFlight:
         self._ticks += ticks
 
     def move(self, measured_at_s: float) -> None:
-        """Tell the vehicle's place, where it rests."""
-        state = VehicleState(measured_at_s, self.place, (0.0, 0.0, 0.0))
+        """Report the vehicle's position, where it rests."""
+        state = VehicleState(measured_at_s, self.position_enu_m, (0.0, 0.0, 0.0))
         self.give(VehicleMoved(self.now_s, state))
 
     def measure(self) -> None:
         """One range and bearing of each target, with a metre and two degrees of noise."""
         for emitter_id, target in self.targets.items():
-            range_m = math.dist(self.place, target) + self._rng.gauss(0.0, 1.0)
-            bearing_rad = math.atan2(target[1] - self.place[1], target[0] - self.place[0])
+            range_m = math.dist(self.position_enu_m, target) + self._rng.gauss(0.0, 1.0)
+            bearing_rad = math.atan2(
+                target[1] - self.position_enu_m[1], target[0] - self.position_enu_m[0]
+            )
             bearing_rad += self._rng.gauss(0.0, 0.035) + self.bearing_error_rad
             measurement = RangingMeasurement(
                 emitter_id=emitter_id,
@@ -196,7 +198,7 @@ class ScriptedFlight:
         if self.reports_landed and self._landed is not None and self._ticks % 10 == 0:
             self.report_landed(self._landed)
         if self.follows and self.setpoints:
-            self.place = self.setpoints[-1]
+            self.position_enu_m = self.setpoints[-1]
         if self.has_position:
             self.move(self.now_s)
 
@@ -255,7 +257,7 @@ class ScriptedFlight:
 
     def on_the_ground(self) -> ScriptedFlight:
         """Disarmed where it starts, with everything known."""
-        self.place = (0.0, 0.0, 0.0)
+        self.position_enu_m = (0.0, 0.0, 0.0)
         self.heartbeat()
         self.report_landed(LandedState.ON_GROUND)
         self.locate()
@@ -279,7 +281,7 @@ class ScriptedFlight:
         self.answer(RequestKind.TAKE_OFF)
         self.report_landed(LandedState.IN_AIR)
         for tick in range(1, 51):  # it climbs, it does not jump there
-            self.place = (0.0, 0.0, 0.4 * tick)
+            self.position_enu_m = (0.0, 0.0, 0.4 * tick)
             self.fly(TICK_S)
         self.fly(2.0)
         assert FlightMode.OFFBOARD in self.asked_modes()

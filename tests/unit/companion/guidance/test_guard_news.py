@@ -55,7 +55,7 @@ def _engaged(battery_pct: float | None) -> ScriptedFlight:
 
 
 def _farthest_m(flight: ScriptedFlight) -> float:
-    return max(math.hypot(*place[:2]) for place in flight.setpoints)
+    return max(math.hypot(*position[:2]) for position in flight.setpoints)
 
 
 def test_a_charged_battery_flies_and_says_nothing() -> None:

@@ -36,7 +36,7 @@ def assert_left_alone(flight: ScriptedFlight, duration_s: float = 10.0) -> None:
     """The launch ended; the vehicle flies on to its altitude, and is nobody's of ours."""
     assert flight.is_in(Phase.YIELD)
     ended_s = flight.now_s
-    flight.place = (0.0, 0.0, 20.0)
+    flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.report_landed(LandedState.IN_AIR)
     flight.fly(duration_s)
     assert flight.is_in(Phase.YIELD)

@@ -73,7 +73,7 @@ def test_armed_by_a_pilot_before_anything_is_known_it_is_the_pilots() -> None:
 
 def test_an_autopilot_that_does_not_tell_where_it_is_is_waited_for_and_said() -> None:
     flight = ScriptedFlight(AUTO)
-    flight.place = (0.0, 0.0, 0.0)
+    flight.position_enu_m = (0.0, 0.0, 0.0)
     flight.heartbeat()
     flight.locate()
     flight.fly(12.0)

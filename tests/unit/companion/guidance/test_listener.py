@@ -155,7 +155,7 @@ def test_the_oldest_gives_way_when_too_many_wait(flight: Flight, backwards: bool
 
 
 def test_a_burst_of_three_seconds_leaves_what_is_fresh(flight: Flight) -> None:
-    """From a fast radio, all at once; the place of each is known."""
+    """Return a fast radio's measurements, all at once; the position of each is known."""
     flight.moved(*(10.0 + 0.1 * step for step in range(31)))
     refused = []
     for step in range(150):

@@ -58,7 +58,7 @@ def test_a_short_silence_leaves_the_mode_as_it_was() -> None:
 
 
 def shown(flight: ScriptedFlight, order: int) -> bool:
-    """Whether the mode is known after a HEARTBEAT of this place in the order of sending."""
+    """Return True if the mode is known after a HEARTBEAT of this number in sending order."""
     flight.give(
         HeartbeatReceived(
             flight.now_s,
@@ -73,8 +73,8 @@ def shown(flight: ScriptedFlight, order: int) -> bool:
     return flight.session.vehicle.mode_watch.is_known(flight.now_s)
 
 
-def place(flight: ScriptedFlight, order: int, behind_s: float = 0.0) -> VehicleMoved:
-    state = VehicleState(flight.now_s - behind_s, flight.place, (0.0, 0.0, 0.0))
+def position(flight: ScriptedFlight, order: int, behind_s: float = 0.0) -> VehicleMoved:
+    state = VehicleState(flight.now_s - behind_s, flight.position_enu_m, (0.0, 0.0, 0.0))
     return VehicleMoved(flight.now_s, state, order=order)
 
 
@@ -85,7 +85,7 @@ def test_a_mode_that_was_shown_before_the_position_was_measured_ends_no_doubt(
     flight = in_doubt(ScriptedFlight().in_control())
     flight.has_position = False
     flight.fly(1.5)
-    flight.give(place(flight, 1000))
+    flight.give(position(flight, 1000))
     assert shown(flight, 1000 + ahead) is ends
 
 
@@ -93,8 +93,8 @@ def test_one_that_was_overtaken_on_the_way_is_dated_by_what_was_sent_before_it()
     flight = in_doubt(ScriptedFlight().in_control())
     flight.has_position = False
     flight.fly(1.5)
-    flight.give(place(flight, 1000))
-    flight.give(place(flight, 1020))
+    flight.give(position(flight, 1000))
+    flight.give(position(flight, 1020))
     assert shown(flight, 1010)
 
 
@@ -103,8 +103,8 @@ def test_nor_does_one_behind_a_position_that_came_late() -> None:
     flight = in_doubt(ScriptedFlight().in_control())
     flight.has_position = False
     flight.fly(1.5)
-    flight.give(place(flight, 1000))
-    flight.give(place(flight, 900, behind_s=2.0))
+    flight.give(position(flight, 1000))
+    flight.give(position(flight, 900, behind_s=2.0))
     assert not shown(flight, 910)
 
 

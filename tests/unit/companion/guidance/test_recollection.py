@@ -80,7 +80,7 @@ def test_nothing_launches_by_itself_after_a_restart(autopilot: Autopilot) -> Non
 
 def test_before_control_is_given_only_here_is_streamed() -> None:
     flight = ScriptedFlight(AUTO)
-    flight.place = (12.0, -7.0, 20.0)
+    flight.position_enu_m = (12.0, -7.0, 20.0)
     recall(flight, memory_of_a_flight())
     flight.ready()
     flight.fly(2.0)
@@ -89,7 +89,7 @@ def test_before_control_is_given_only_here_is_streamed() -> None:
     flight.show(FlightMode.OFFBOARD)
     before = len(flight.setpoints)
     flight.fly(0.05)
-    assert math.dist(flight.setpoints[before], flight.place) < 0.5
+    assert math.dist(flight.setpoints[before], flight.position_enu_m) < 0.5
 
 
 def test_a_vehicle_found_in_offboard_is_left_alone() -> None:

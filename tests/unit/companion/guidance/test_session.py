@@ -37,7 +37,7 @@ def test_silent_until_position_and_home_are_known() -> None:
 
 def test_in_standby_px4_gets_its_own_place_twenty_times_a_second() -> None:
     flight = ScriptedFlight().ready()
-    flight.place = (3.0, 4.0, 21.0)
+    flight.position_enu_m = (3.0, 4.0, 21.0)
     since_s = flight.now_s
     flight.fly(3.0)
     sent = flight.sent(SendSetpoint, since_s)
@@ -199,20 +199,24 @@ def test_setpoints_stay_inside_fence_and_band_wherever_the_target_is() -> None:
     assert max(p[0] for p in flight.setpoints) > 20.0
 
 
-@pytest.mark.parametrize("place", [(200.0, 0.0, 20.0), (0.0, -900.0, 0.0), (-300.0, 300.0, 500.0)])
-def test_a_vehicle_outside_is_walked_in_from_where_it_is(place: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "position", [(200.0, 0.0, 20.0), (0.0, -900.0, 0.0), (-300.0, 300.0, 500.0)]
+)
+def test_a_vehicle_outside_is_walked_in_from_where_it_is(
+    position: tuple[float, float, float],
+) -> None:
     flight = ScriptedFlight()
-    flight.place = place
+    flight.position_enu_m = position
     flight.ready()
     flight.show(FlightMode.OFFBOARD)
     flight.fly(5.0)
     assert flight.setpoints
-    assert flight.setpoints[0] == pytest.approx((*place[:2], min(max(place[2], 5.9), 59.1)))
+    assert flight.setpoints[0] == pytest.approx((*position[:2], min(max(position[2], 5.9), 59.1)))
     for before, (east, north, up) in pairwise(flight.setpoints):
         assert max(abs(east), abs(north)) <= max(abs(before[0]), abs(before[1])) + 1e-6
         assert math.dist(before[:2], (east, north)) <= 5.0 * 0.05 + 1e-6
         assert up == before[2]
-    assert math.dist(flight.setpoints[-1][:2], place[:2]) > 4.0
+    assert math.dist(flight.setpoints[-1][:2], position[:2]) > 4.0
 
 
 @pytest.mark.slow
@@ -257,7 +261,7 @@ def test_positions_that_are_always_late_are_told_apart_from_none() -> None:
     flight.heartbeat()
     flight.locate()
     for _ in range(240):
-        late = VehicleState(flight.now_s - 0.6, flight.place, (0.0, 0.0, 0.0))
+        late = VehicleState(flight.now_s - 0.6, flight.position_enu_m, (0.0, 0.0, 0.0))
         flight.give(VehicleMoved(flight.now_s, late))
         flight.fly(0.05)
     assert flight.is_in(Phase.WAITING)

@@ -132,12 +132,12 @@ def test_granted_before_the_mode_was_left_the_setpoint_stays_where_it_is() -> No
     flight.in_control()
     flight.fly_until_reported()
     flight.follows = False
-    east_m, north_m, up_m = flight.place
+    east_m, north_m, up_m = flight.position_enu_m
     flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.GRANT))
     granted_s = flight.now_s
     assert flight.is_in(Phase.STANDBY)
     for tick in range(10):
-        flight.place = (east_m + 0.2 * tick, north_m, up_m)
+        flight.position_enu_m = (east_m + 0.2 * tick, north_m, up_m)
         flight.fly(TICK_S)
     sent = [c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, granted_s)]
     assert len(sent) == 10

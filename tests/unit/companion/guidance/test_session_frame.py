@@ -83,14 +83,14 @@ def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
 ) -> None:
     """Positions of the new frame may overtake the origin, which must not move all once more."""
     flight = ScriptedFlight().in_control()
-    before, at_m = flight.session.estimate, flight.place
+    before, at_m = flight.session.estimate, flight.position_enu_m
     assert before is not None
     moved = LocalOrigin(*ORIGIN.geodetic_from_enu((3.0, 8.0, up_m)))
     flight.has_ranging = False
-    place = (at_m[0] - 3.0, at_m[1] - 8.0, at_m[2] - up_m)
+    position = (at_m[0] - 3.0, at_m[1] - 8.0, at_m[2] - up_m)
     if is_told_first:
         flight.give(OriginSet(flight.now_s, moved))
-    flight.place = place
+    flight.position_enu_m = position
     flight.fly(0.2)
     if not is_told_first:
         flight.give(OriginSet(flight.now_s, moved))
@@ -129,7 +129,7 @@ def test_heights_stay_above_the_same_home_when_the_origin_moves() -> None:
 def test_after_the_origin_moved_it_holds_for_a_while_in_the_new_frame() -> None:
     flight = ScriptedFlight().in_control()
     flight.has_ranging = False
-    flight.place = (0.0, -50.0, 20.0)
+    flight.position_enu_m = (0.0, -50.0, 20.0)
     since_s = flight.now_s
     flight.locate(LocalOrigin(*ORIGIN.geodetic_from_enu((0.0, 50.0, 0.0))))
     flight.fly(1.9)

@@ -73,7 +73,7 @@ def test_a_mode_that_was_chosen_is_switched_back_without_a_grant(autopilot: Auto
     since_s = flight.now_s
     flight.fly(1.0)
     streamed = {command.setpoint.position_enu_m for command in flight.sent(SendSetpoint, since_s)}
-    assert streamed == ({flight.place} if autopilot is Autopilot.PX4 else set())
+    assert streamed == ({flight.position_enu_m} if autopilot is Autopilot.PX4 else set())
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.HOLD)
     flight.fly(0.2)
@@ -98,14 +98,14 @@ def test_a_grant_makes_ready_and_the_mode_switch_engages() -> None:
 def test_the_first_setpoint_after_a_loss_is_where_the_vehicle_is() -> None:
     flight = ScriptedFlight().in_control()
     flight.show(FlightMode.POSITION)
-    flight.place = (-60.0, -70.0, 30.0)
+    flight.position_enu_m = (-60.0, -70.0, 30.0)
     flight.fly(3.0)
     assert flight.is_in(Phase.STANDBY)
     since_s = flight.now_s
     flight.show(FlightMode.OFFBOARD)
     flight.fly(0.05)
     (first,) = flight.sent(SendSetpoint, since_s)
-    assert math.dist(first.setpoint.position_enu_m, flight.place) < 0.5
+    assert math.dist(first.setpoint.position_enu_m, flight.position_enu_m) < 0.5
 
 
 def test_disarming_ends_the_flight_and_leftover_offboard_does_not_begin_the_next() -> None:
@@ -158,20 +158,20 @@ def test_after_a_pause_the_stream_begins_where_the_vehicle_is(missed: int, is_an
     """The vehicle stays behind its setpoint; then ticks are missed."""
     flight = ScriptedFlight().in_control()
     flight.fly(4.0)
-    assert math.dist(flight.setpoints[-1], flight.place) > 3.0
+    assert math.dist(flight.setpoints[-1], flight.position_enu_m) > 3.0
     flight.skip(missed)
     flight.fly(TICK_S)
-    assert (math.dist(flight.setpoints[-1], flight.place) < 0.5) is is_anew
+    assert (math.dist(flight.setpoints[-1], flight.position_enu_m) < 0.5) is is_anew
 
 
 def test_a_pause_on_a_stale_position_leaves_the_setpoint_where_it_is() -> None:
-    """Where the vehicle was a second ago is no better place than the one it was sent to."""
+    """Where the vehicle was a second ago is no better position than the one it was sent to."""
     flight = ScriptedFlight().in_control()
     flight.fly(4.0)
     flight.has_position = False
     flight.fly(1.0)
     last = flight.setpoints[-1]
-    assert math.dist(last, flight.place) > 1.0
+    assert math.dist(last, flight.position_enu_m) > 1.0
     flight.skip(7)
     flight.fly(TICK_S)
     assert flight.setpoints[-1] == last

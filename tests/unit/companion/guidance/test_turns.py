@@ -87,7 +87,9 @@ def test_it_says_whose_turn_it_is_and_flies_there() -> None:
         {"emitter_id": 7, "waiting": []},
     ]
     assert "searching for emitter 3, then 7" in flight.texts
-    assert math.dist(flight.place[:2], FAR[:2]) < math.dist(flight.place[:2], NEAR[:2])
+    assert math.dist(flight.position_enu_m[:2], FAR[:2]) < math.dist(
+        flight.position_enu_m[:2], NEAR[:2]
+    )
 
 
 def test_the_one_that_waits_is_learnt_of_meanwhile_and_not_taken_for_the_current_one() -> None:

@@ -8,7 +8,7 @@ from companion.geometry.polygons import Point
 from companion.handoff import Handoff, handoff_of
 
 ORIGIN = LocalOrigin(47.4, 8.54, 488.0)
-PLACE_ENU_M = (10.0, 20.0)
+POSITION_ENU_M = (10.0, 20.0)
 HOSTILE = '7<b>&"\x1b[31m\x00'
 """A name that no format may pass on as it is."""
 
@@ -24,7 +24,7 @@ def handoff(
     estimate = TargetEstimate(
         time_s=60.0,
         state=state,
-        position_enu_m=PLACE_ENU_M,
+        position_enu_m=POSITION_ENU_M,
         covariance_m2=((4.0, 1.0), (1.0, 2.0)),
         r95_m=r95_m,
         range_offset_m=0.0,

@@ -55,8 +55,8 @@ def test_outlines_lie_where_it_was_searched() -> None:
     searched, missing = (shapely.geometry.shape(f["geometry"]) for f in (pods[1], gap))
     assert searched.is_valid
     assert searched.touches(missing)
-    for place, shape in (((100.0, 50.0), searched), ((100.0, 150.0), missing)):
-        latitude, longitude, _ = ORIGIN.geodetic_from_enu((*place, 0.0))
+    for position, shape in (((100.0, 50.0), searched), ((100.0, 150.0), missing)):
+        latitude, longitude, _ = ORIGIN.geodetic_from_enu((*position, 0.0))
         assert shape.contains(shapely.Point(longitude, latitude))
     ring = pods[0]["geometry"]["coordinates"][0][0]
     assert ring[0] == ring[-1]
@@ -84,11 +84,11 @@ def test_the_kml_obeys_the_schema_and_lays_the_image_where_it_belongs(tmp_path: 
     assert validate(file_to_validate=path)
     overlay: Any = find(KML.parse(path), of_type=GroundOverlay)
     box = overlay.lat_lon_box
-    for place, corner in (
+    for position, corner in (
         ((0.0, 0.0), (box.south, box.west)),
         ((200.0, 200.0), (box.north, box.east)),
     ):
-        latitude, longitude, _ = ORIGIN.geodetic_from_enu((*place, 0.0))
+        latitude, longitude, _ = ORIGIN.geodetic_from_enu((*position, 0.0))
         assert corner == pytest.approx((latitude, longitude), abs=1e-6)
     assert overlay.icon.href == "searched_area.png"
 
@@ -99,8 +99,8 @@ def test_gdal_reads_the_probability_at_every_position() -> None:
         assert image.crs.to_epsg() == 4326
         assert np.isnan(image.nodata)
         found = []
-        for place in ((10.0, 30.0), (190.0, 90.0), (10.0, 110.0), (190.0, 190.0)):
-            latitude, longitude, _ = ORIGIN.geodetic_from_enu((*place, 0.0))
+        for position in ((10.0, 30.0), (190.0, 90.0), (10.0, 110.0), (190.0, 190.0)):
+            latitude, longitude, _ = ORIGIN.geodetic_from_enu((*position, 0.0))
             (value,) = image.sample([(longitude, latitude)])
             found.append(float(value[0]))
     assert found == pytest.approx([0.97, 0.97, 0.1, 0.1])

@@ -193,7 +193,7 @@ def test_an_address_is_taken_over_only_after_silence(silence_s: float) -> None:
     assert binding.unknown_senders == (0 if is_believed else 1)
 
 
-def placed(boot_s: float, sequence: int, north_m: float = 5.0) -> Message:
+def position_report(boot_s: float, sequence: int, north_m: float = 5.0) -> Message:
     message = mavlink.MAVLink_local_position_ned_message(round(1e3 * boot_s), north_m, *[0.0] * 5)
     codec = MavCodec(1, 1)
     for _ in range(sequence + 1):
@@ -210,7 +210,9 @@ class TestAnotherAddress:
         binding = AutopilotBinding(wanted_system_id=1)
         binding.recognise(from_system(heartbeat()), PEER, 8.9)
         for tenth in range(11):
-            binding.recognise(placed(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth)
+            binding.recognise(
+                position_report(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth
+            )
         return binding
 
     def moved_s(
@@ -219,7 +221,7 @@ class TestAnotherAddress:
         """Return when it moved, within a second of frames at another address; None: never."""
         for tenth in range(1, 10):
             boot_s, now_s = 100.0 + off_s + 0.1 * tenth, 10.0 + 0.1 * tenth
-            binding.recognise(placed(boot_s, first + tenth, north_m), STRANGER, now_s)
+            binding.recognise(position_report(boot_s, first + tenth, north_m), STRANGER, now_s)
             if binding.peer == STRANGER:
                 return now_s
         return None
@@ -244,7 +246,7 @@ class TestAnotherAddress:
     ) -> None:
         for tenth in range(60):
             boot_s, now_s = 100.0 + off_s + 0.1 * tenth, 10.0 + 0.1 * tenth
-            binding.recognise(placed(boot_s, 90 + tenth, 9.0), STRANGER, now_s)
+            binding.recognise(position_report(boot_s, 90 + tenth, 9.0), STRANGER, now_s)
         assert (binding.peer == STRANGER) is is_ours
         assert (binding.problem is None) is is_ours
 
@@ -255,7 +257,7 @@ class TestAnotherAddress:
         binding.recognise(version(7), PEER, 10.0)
         for tenth in range(60):
             now_s = 10.0 + 0.1 * tenth
-            binding.recognise(placed(90.0 + now_s, 90 + tenth, 9.0), STRANGER, now_s)
+            binding.recognise(position_report(90.0 + now_s, 90 + tenth, 9.0), STRANGER, now_s)
             if binding.take_unproved(now_s) and answered:
                 binding.recognise(version(answered), STRANGER, now_s)
         assert (binding.peer == STRANGER) is is_ours
@@ -271,14 +273,14 @@ def version(uid: int) -> Message:
 
 
 def test_where_the_sequence_breaks_the_hardware_id_is_asked_for_again() -> None:
-    """A twin behind our address that was switched on with ours has its clock and place."""
+    """A twin behind our address that was switched on with ours has its clock and position."""
     binding = AutopilotBinding(wanted_system_id=1)
     binding.recognise(from_system(heartbeat()), PEER, 9.0)
     binding.recognise(version(7), PEER, 9.1)
     for tenth in range(50):
-        binding.recognise(placed(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth)
+        binding.recognise(position_report(99.0 + 0.1 * tenth, 10 + tenth), PEER, 9.0 + 0.1 * tenth)
     assert not binding.hardware.is_due(14.0)
-    binding.recognise(placed(104.0, 200), PEER, 14.0)
+    binding.recognise(position_report(104.0, 200), PEER, 14.0)
     assert binding.hardware.is_due(14.0)
     binding.recognise(version(8), PEER, 14.1)
     assert binding.problem is not None

@@ -155,9 +155,9 @@ def test_a_home_that_cannot_be_is_ignored(home: Message) -> None:
 def test_the_origin_in_degrees_and_metres() -> None:
     event = VehicleInbound().events(origin(473977420, 85455940, 488123), 1.0)[0]
     assert isinstance(event, OriginSet)
-    place = event.origin
-    assert (place.latitude_deg, place.longitude_deg) == pytest.approx((47.397742, 8.545594))
-    assert place.altitude_m == 488.123
+    position = event.origin
+    assert (position.latitude_deg, position.longitude_deg) == pytest.approx((47.397742, 8.545594))
+    assert position.altitude_m == 488.123
 
 
 def test_unknown_landed_states_are_unknown() -> None:

@@ -42,8 +42,8 @@ def test_a_global_setpoint_is_above_sea_level_in_frame_5(yaw: float | None, mask
     message = over_the_wire(outbound.global_setpoint(setpoint, ORIGIN, 1.0, (7, 1)))
     assert isinstance(message, GlobalTarget)
     assert (message.coordinate_frame, message.type_mask) == (5, mask)
-    place = ORIGIN.enu_from_geodetic(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
-    assert place == pytest.approx((20.0, 10.0, 30.0), abs=0.02)
+    position = ORIGIN.enu_from_geodetic(message.lat_int / 1e7, message.lon_int / 1e7, message.alt)
+    assert position == pytest.approx((20.0, 10.0, 30.0), abs=0.02)
     assert message.alt == pytest.approx(518.0, abs=1e-3)
 
 
@@ -52,8 +52,8 @@ def test_a_global_setpoint_is_above_sea_level_in_frame_5(yaw: float | None, mask
 def test_a_setpoint_that_is_not_finite_is_our_own_mistake(bad: float, axis: int) -> None:
     values = [0.0, 0.0, 10.0, 0.5]
     values[axis] = bad
-    place: PositionEnu = (values[0], values[1], values[2])
-    setpoint = PositionSetpoint(place, values[3])
+    position: PositionEnu = (values[0], values[1], values[2])
+    setpoint = PositionSetpoint(position, values[3])
     with pytest.raises(LocalProtocolError, match="not finite"):
         outbound.local_setpoint(setpoint, 0.0, (1, 1))
     with pytest.raises(LocalProtocolError, match="not finite"):

@@ -69,8 +69,8 @@ def test_an_estimate_goes_north_and_east_clockwise_with_its_covariance() -> None
     assert (told.absolute_r95, told.own_std, told.own_height_std) == (7.5, 1.5, 2.5)
     assert (told.time_boot_ms, told.emitter_id, told.measurements) == (10_000, 7, 55)
     assert told.state == 2
-    place = ORIGIN.enu_from_geodetic(told.lat / 1e7, told.lon / 1e7, 491.0)
-    assert place == pytest.approx((30.0, -40.0, 3.0), abs=0.02)
+    position = ORIGIN.enu_from_geodetic(told.lat / 1e7, told.lon / 1e7, 491.0)
+    assert position == pytest.approx((30.0, -40.0, 3.0), abs=0.02)
 
 
 def test_what_is_not_known_is_said_so() -> None:

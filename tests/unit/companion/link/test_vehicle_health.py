@@ -30,12 +30,12 @@ def events(message: Message) -> list[Event]:
 
 
 def health_of(message: Message) -> list[Event]:
-    """Without how well the own place is known."""
+    """Return the events of a message without the accuracy of the own position."""
     return [event for event in events(message) if not isinstance(event, PositionAccuracyReported)]
 
 
 def rating_of(message: Message) -> PositionAccuracyReported:
-    """How well the own place is known."""
+    """Return the accuracy of the own position."""
     (rating,) = (event for event in events(message) if isinstance(event, PositionAccuracyReported))
     return rating
 
@@ -51,10 +51,10 @@ def target(north: float, east: float, down: float, mask: int = 0, frame: int = 1
     )
 
 
-def estimator_status(velocity: float, place: float, height: float, mag: float) -> Message:
+def estimator_status(velocity: float, position: float, height: float, mag: float) -> Message:
     """Terrain and airspeed, which few vehicles have, are bad."""
     return mavlink.MAVLink_estimator_status_message(
-        0, 0, velocity, place, height, mag, 9.0, 9.0, 0.3, 0.4
+        0, 0, velocity, position, height, mag, 9.0, 9.0, 0.3, 0.4
     )
 
 

@@ -147,10 +147,10 @@ def test_plain_messages_are_packed_and_read_without_pymavlink(
 def test_damaged_frames_are_not_read() -> None:
     frame = heartbeat()
     assert unpack_plain(frame) is not None
-    for place in range(len(frame)):
-        assert unpack_plain(frame[:place]) is None
+    for index in range(len(frame)):
+        assert unpack_plain(frame[:index]) is None
         damaged = bytearray(frame)
-        damaged[place] ^= 0x10
+        damaged[index] ^= 0x10
         assert unpack_plain(bytes(damaged)) is None
 
 

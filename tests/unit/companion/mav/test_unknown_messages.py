@@ -27,8 +27,8 @@ def test_unknown_messages_behind_each_other_are_kept_each() -> None:
 def test_a_stream_keeps_them_too() -> None:
     link = keeping()
     data = unknown() + heartbeat()
-    for place in range(len(data)):
-        link.split(data[place : place + 1], is_datagram=False)
+    for index in range(len(data)):
+        link.split(data[index : index + 1], is_datagram=False)
     assert link.take_unknown() == [unknown()]
 
 

@@ -41,9 +41,11 @@ PRIOR = np.diag([900.0, 900.0, 25.0, math.radians(5.0) ** 2])
 ALL = np.ones(HEADINGS, dtype=np.bool_)
 
 
-def _target(place: Point, covariance: Matrix = PRIOR) -> TargetEstimate:
+def _target(situation: Point, covariance: Matrix = PRIOR) -> TargetEstimate:
     (a, b), (c, d) = covariance[:2, :2].tolist()
-    return TargetEstimate(0.0, EstimateState.SEARCHING, place, ((a, b), (c, d)), 5.0, 0.0, 0.0, 1)
+    return TargetEstimate(
+        0.0, EstimateState.SEARCHING, situation, ((a, b), (c, d)), 5.0, 0.0, 0.0, 1
+    )
 
 
 def _marginal_information(
@@ -103,14 +105,14 @@ def test_the_best_candidate_is_the_best_of_all() -> None:
 
 
 def test_a_candidate_that_may_not_be_flown_to_is_not_chosen() -> None:
-    place = (PRIOR, np.array([30.0, 0.0, 0.0, 0.0]), candidate_poses_m(5.0))
-    first = best_candidate(*place, ALL, SIGMA, ALL_AROUND, MODEL)
+    situation = (PRIOR, np.array([30.0, 0.0, 0.0, 0.0]), candidate_poses_m(5.0))
+    first = best_candidate(*situation, ALL, SIGMA, ALL_AROUND, MODEL)
     without = ALL.copy()
     without[first] = False
-    second = best_candidate(*place, without, SIGMA, ALL_AROUND, MODEL)
+    second = best_candidate(*situation, without, SIGMA, ALL_AROUND, MODEL)
     assert second not in (first, STAY)
     none = np.zeros(HEADINGS, dtype=np.bool_)
-    assert best_candidate(*place, none, SIGMA, ALL_AROUND, MODEL) == STAY
+    assert best_candidate(*situation, none, SIGMA, ALL_AROUND, MODEL) == STAY
 
 
 def test_known_offsets_and_a_sure_target_leave_nothing_to_choose() -> None:

@@ -151,16 +151,16 @@ RANGED = (0.3, 0.05, math.inf)
 
 def test_a_far_target_is_approached_in_a_spiral_that_turns_the_line_of_sight() -> None:
     """tan(bend) log(distance / distance then); each leg a metre, as setpoints move on."""
-    planner, place = _sighted(), (-60.0, 0.0)
+    planner, position = _sighted(), (-60.0, 0.0)
     for _ in range(40):
-        plan = planner.plan(_seen(**FAR | {"vehicle_enu_m": place}, sigmas=RANGED), None)
+        plan = planner.plan(_seen(**FAR | {"vehicle_enu_m": position}, sigmas=RANGED), None)
         assert plan.waypoint.reason is WaypointReason.APPROACH
         assert plan.memory is None
-        ahead = direction(place, plan.waypoint.position_enu_m)
-        place = (place[0] + ahead[0], place[1] + ahead[1])
-    seen_rad = math.atan2(-place[1], -place[0])
-    turned_rad = math.tan(BEND_RAD) * math.log(60.0 / math.hypot(*place))
-    assert math.hypot(*place) == pytest.approx(60.0 - 40.0 * math.cos(BEND_RAD), abs=0.5)
+        ahead = direction(position, plan.waypoint.position_enu_m)
+        position = (position[0] + ahead[0], position[1] + ahead[1])
+    seen_rad = math.atan2(-position[1], -position[0])
+    turned_rad = math.tan(BEND_RAD) * math.log(60.0 / math.hypot(*position))
+    assert math.hypot(*position) == pytest.approx(60.0 - 40.0 * math.cos(BEND_RAD), abs=0.5)
     assert abs(seen_rad) == pytest.approx(turned_rad, abs=0.02)
 
 

@@ -27,17 +27,17 @@ PARAMS = LatchedCrossingParams()
 PLANNER = LatchedCrossing(PARAMS)
 WIDE = ((-1e4, -1e4), (1e4, -1e4), (1e4, 1e4), (-1e4, 1e4))
 
-places = st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
+positions = st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
 
 
-def _estimate(place: Point, variance_m2: float) -> TargetEstimate:
+def _estimate(position: Point, variance_m2: float) -> TargetEstimate:
     covariance = ((variance_m2, 0.3 * variance_m2), (0.3 * variance_m2, 0.5 * variance_m2))
-    return TargetEstimate(0.0, EstimateState.SEARCHING, place, covariance, 5.0, 0.0, 0.0, 1)
+    return TargetEstimate(0.0, EstimateState.SEARCHING, position, covariance, 5.0, 0.0, 0.0, 1)
 
 
 @settings(max_examples=60, deadline=None)
 @given(
-    places,
+    positions,
     st.lists(
         st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.floats(0.0, 100.0)),
         min_size=1,

@@ -241,7 +241,7 @@ HOUSE = ((-4.0, -15.0), (20.0, -15.0), (20.0, 15.0), (-4.0, 15.0))
 
 def _around_the_house(steps: int) -> tuple[list[Point], Latch]:
     """Flies about a target inside a keep-out, near its west wall, a metre at a time."""
-    vehicle, memory, places = (-40.0, 0.0), None, []
+    vehicle, memory, positions = (-40.0, 0.0), None, []
     sure = target_at(covariance_m2=((0.1, 0.0), (0.0, 0.1)))
     for _ in range(steps):
         request = PlanRequest(vehicle, sure, fence_margin_m=2.0, keep_out_enu_m=(HOUSE,))
@@ -252,18 +252,18 @@ def _around_the_house(steps: int) -> tuple[list[Point], Latch]:
             vehicle[0] + share * (aim[0] - vehicle[0]),
             vehicle[1] + share * (aim[1] - vehicle[1]),
         )
-        places.append(vehicle)
+        positions.append(vehicle)
     assert memory is not None
-    return places, memory
+    return positions, memory
 
 
 def test_a_target_in_a_keep_out_is_seen_from_all_sides() -> None:
     """Nearest to every overshoot of 2 m is the west wall; it goes to the far side all the same."""
-    places, latch = _around_the_house(600)
+    positions, latch = _around_the_house(600)
     assert latch.crossings > 4
     for side in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
-        assert max(e * side[0] + n * side[1] for e, n in places) > 5.5
-    assert max(e for e, _ in places) > 21.0
+        assert max(e * side[0] + n * side[1] for e, n in positions) > 5.5
+    assert max(e for e, _ in positions) > 21.0
 
 
 def test_a_point_pushed_beyond_a_keep_out_is_flown_to() -> None:

@@ -20,7 +20,7 @@ from companion.planning.planner import (
     route_to,
     way_finder,
 )
-from tests.unit.companion.geometry.test_obstacles import places, stars
+from tests.unit.companion.geometry.test_obstacles import positions, stars
 
 SQUARE = ((-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0))
 HOUSE = ((-10.0, -10.0), (10.0, -10.0), (10.0, 10.0), (-10.0, 10.0))
@@ -63,13 +63,13 @@ def test_a_clear_leg_is_flown_as_wanted() -> None:
 
 
 def test_around_a_house_corner_by_corner() -> None:
-    place, goal, seen = (-30.0, 1.0), (30.0, 1.0), []
+    position, goal, seen = (-30.0, 1.0), (30.0, 1.0), []
     for _ in range(10):
-        waypoint = _routed(_request(place, HOUSE), goal)
+        waypoint = _routed(_request(position, HOUSE), goal)
         seen.append((waypoint.reason.value, waypoint.detail))
         assert waypoint.altitude_offset_m == 4.0
-        place = waypoint.position_enu_m
-        if place == goal:
+        position = waypoint.position_enu_m
+        if position == goal:
             break
     assert seen == [
         ("detour", "2 corners to go: crossing 1"),
@@ -160,8 +160,8 @@ def test_from_an_anchor_outside_it_is_cut_from_the_middle() -> None:
     st.none() | stars(50.0, 150.0),
     st.lists(stars(3.0, 40.0), max_size=4),
     st.sampled_from([0.0, 0.5, 3.0]),
-    places,
-    places,
+    positions,
+    positions,
     st.floats(20.0, 500.0),
 )
 def test_flown_in_steps_it_ends_at_the_goal_without_leaving_free_space(
@@ -173,20 +173,20 @@ def test_flown_in_steps_it_ends_at_the_goal_without_leaving_free_space(
     step_m: float,
 ) -> None:
     space = FreeSpace(fence, keep_outs, margin_m)
-    place, end = start, space.nearest_allowed(goal)
-    has_been_inside = space.allows(place)
+    position, end = start, space.nearest_allowed(goal)
+    has_been_inside = space.allows(position)
     for _ in range(2000):
-        request = PlanRequest(place, None, fence, margin_m, keep_out_enu_m=tuple(keep_outs))
+        request = PlanRequest(position, None, fence, margin_m, keep_out_enu_m=tuple(keep_outs))
         waypoint = _routed(request, goal)
         aim = waypoint.position_enu_m
         if waypoint.reason is WaypointReason.HOLD:
             return
-        if math.dist(place, aim) < 1e-9:
+        if math.dist(position, aim) < 1e-9:
             break
-        share = min(1.0, step_m / math.dist(place, aim))
+        share = min(1.0, step_m / math.dist(position, aim))
         if has_been_inside:
-            assert all(space.allows(between(place, aim, share * k / 10.0)) for k in range(11))
-        place = between(place, aim, share)
+            assert all(space.allows(between(position, aim, share * k / 10.0)) for k in range(11))
+        position = between(position, aim, share)
         has_been_inside = has_been_inside or (share == 1.0)
     assert end is not None
-    assert math.dist(place, goal) == pytest.approx(math.dist(end, goal), abs=1e-4)
+    assert math.dist(position, goal) == pytest.approx(math.dist(end, goal), abs=1e-4)

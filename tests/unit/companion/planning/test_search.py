@@ -31,23 +31,23 @@ class Flight:
         self, planner: SearchPlanner, start: Point, request: PlanRequest | None = None
     ) -> None:
         self.planner = planner
-        self.place = start
+        self.position = start
         self.request = request or PlanRequest(start)
         self.memory: SearchMemory | None = None
         self.details: list[str] = []
-        self.places: list[Point] = []
+        self.positions: list[Point] = []
 
     def step(self) -> None:
-        plan = self.planner.plan(replace(self.request, vehicle_enu_m=self.place), self.memory)
+        plan = self.planner.plan(replace(self.request, vehicle_enu_m=self.position), self.memory)
         self.memory, aim = plan.memory, plan.waypoint.position_enu_m
         if not self.details or self.details[-1] != plan.waypoint.detail:
             self.details.append(plan.waypoint.detail)
-        share = min(1.0, STEP_M / math.dist(self.place, aim)) if self.place != aim else 1.0
-        self.place = (
-            self.place[0] + share * (aim[0] - self.place[0]),
-            self.place[1] + share * (aim[1] - self.place[1]),
+        share = min(1.0, STEP_M / math.dist(self.position, aim)) if self.position != aim else 1.0
+        self.position = (
+            self.position[0] + share * (aim[0] - self.position[0]),
+            self.position[1] + share * (aim[1] - self.position[1]),
         )
-        self.places.append(self.place)
+        self.positions.append(self.position)
 
     def until(self, detail: str) -> None:
         for _ in range(2000):
@@ -77,30 +77,30 @@ def test_a_sweep_and_the_next_one_across_it() -> None:
 
 def test_after_an_interruption_it_goes_on_where_it_was_left() -> None:
     flight = Flight(PLANNER, (0.0, 10.0))
-    while flight.place[0] < 40.0:
+    while flight.position[0] < 40.0:
         flight.step()
-    left = flight.place
+    left = flight.position
     assert flight.memory is not None
     flight.memory = flight.memory.interrupted()
-    flight.place = (90.0, 10.0)  # farther along the very lane
+    flight.position = (90.0, 10.0)  # farther along the very lane
     flight.until("back to where it was left on lawnmower, leg 1 of 3")
     flight.until("lawnmower, leg 1 of 3")
-    assert flight.place[0] == pytest.approx(left[0], abs=3.0 * STEP_M)
+    assert flight.position[0] == pytest.approx(left[0], abs=3.0 * STEP_M)
     flight.until("to lawnmower, leg 2 of 3")
 
 
 def test_blown_off_its_lane_it_comes_back_to_it() -> None:
     flight = Flight(PLANNER, (0.0, 10.0))
-    while flight.place[0] < 40.0:
+    while flight.position[0] < 40.0:
         flight.step()
-    flight.place = (60.0, 19.0)  # within half a spacing
+    flight.position = (60.0, 19.0)  # within half a spacing
     flight.step()
     assert flight.details[-1] == "lawnmower, leg 1 of 3"
-    flight.place = (70.0, 21.0)
+    flight.position = (70.0, 21.0)
     flight.step()
     assert flight.details[-1] == "back to where it was left on lawnmower, leg 1 of 3"
     flight.until("lawnmower, leg 1 of 3")
-    assert flight.place[0] == pytest.approx(60.0, abs=2.0 * STEP_M)
+    assert flight.position[0] == pytest.approx(60.0, abs=2.0 * STEP_M)
 
 
 def test_interrupted_on_the_way_to_a_leg_there_is_nothing_to_come_back_to() -> None:
@@ -120,7 +120,7 @@ def test_a_leg_without_a_way_to_it_is_passed_over() -> None:
     flight = Flight(planner, (50.0, 50.0), request)
     flight.until("to lawnmower, leg 1 of 10, sweep 2")
     flight.until("to lawnmower, leg 2 of 3, sweep 3")
-    assert min(north for _, north in flight.places) > 22.0
+    assert min(north for _, north in flight.positions) > 22.0
 
 
 def test_where_no_leg_can_be_reached_it_holds() -> None:
@@ -220,7 +220,7 @@ def test_a_square_that_leaves_the_fence_is_cut_by_it() -> None:
     flight = Flight(SearchPlanner(ExpandingSquareParams()), (50.0, 30.0), request)
     for _ in range(600):
         flight.step()
-    assert all(2.99 <= e <= 97.01 and 2.99 <= n <= 57.01 for e, n in flight.places)
+    assert all(2.99 <= e <= 97.01 and 2.99 <= n <= 57.01 for e, n in flight.positions)
     assert flight.memory is not None
     assert flight.memory.sweep >= 1
 

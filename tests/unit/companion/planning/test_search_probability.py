@@ -62,32 +62,32 @@ class Flight:
                 self.memory, self.waypoint = plan.memory, plan.waypoint
             yield self.move(plan.waypoint.position_enu_m)
 
-    def share_left_at(self, place: Point) -> float:
-        """Chance that is left about a place, of the chance there before the search."""
+    def share_left_at(self, position: Point) -> float:
+        """Return the probability left about a position, as a share of that before the search."""
         state = state_of(self.area)
-        near = np.hypot(*(state.grid.centres_enu_m - place).T) < 40.0
+        near = np.hypot(*(state.grid.centres_enu_m - position).T) < 40.0
         return float(1.0 - state.pod[near].mean())
 
     def move(self, goal: Point) -> Point:
         east, north = self.request.vehicle_enu_m
         apart_m = math.dist((east, north), goal)
         share = min(1.0, SPEED_MPS / apart_m) if apart_m > 0.0 else 0.0
-        place = (east + share * (goal[0] - east), north + share * (goal[1] - north))
-        self.request = replace(self.request, vehicle_enu_m=place)
-        self.area.listen((*place, HEIGHT_M), 1.0)
+        position = (east + share * (goal[0] - east), north + share * (goal[1] - north))
+        self.request = replace(self.request, vehicle_enu_m=position)
+        self.area.listen((*position, HEIGHT_M), 1.0)
         while self.area.advance():
             pass
-        return place
+        return position
 
 
 def test_it_flies_to_where_the_chance_is_and_says_so() -> None:
     flight, said = Flight(with_a_spot()), set()
-    places = []
-    for place in flight.run(160):
-        places.append(place)
+    positions = []
+    for position in flight.run(160):
+        positions.append(position)
         assert flight.waypoint is not None
         said.add(flight.waypoint.detail)
-    assert min(math.dist(place, (330.0, 330.0)) for place in places[:100]) < 60.0
+    assert min(math.dist(position, (330.0, 330.0)) for position in positions[:100]) < 60.0
     assert "choosing the next leg" in said
     assert any(text.startswith("NE corner: ") and " of the probability, " in text for text in said)
     lawnmower = Flight(with_a_spot())
@@ -114,9 +114,9 @@ def test_every_leg_keeps_to_fence_and_keep_outs() -> None:
     space = FreeSpace(FENCE, (house,), 3.0 - 1e-6)
     flight = Flight(with_a_spot(), (house,))
     before = HOME
-    for place in flight.run(500):
-        assert space.is_clear(before, place)
-        before = place
+    for position in flight.run(500):
+        assert space.is_clear(before, position)
+        before = position
 
 
 def test_chosen_legs_leave_a_way_home() -> None:
@@ -129,12 +129,12 @@ def test_chosen_legs_leave_a_way_home() -> None:
             if left_m - math.dist(before, HOME) < SPEED_MPS:  # the search is over
                 break
             flight.request = replace(flight.request, range_left_m=left_m)
-            place = next(flight.run(1))
-            left_m -= math.dist(before, place)
+            position = next(flight.run(1))
+            left_m -= math.dist(before, position)
             assert flight.waypoint is not None
             if "of the probability" in flight.waypoint.detail:
                 goal = flight.waypoint.position_enu_m
-                assert math.dist(place, goal) + math.dist(goal, HOME) <= left_m + 1e-6
+                assert math.dist(position, goal) + math.dist(goal, HOME) <= left_m + 1e-6
                 chosen += 1
         assert chosen > 20
         assert (flight.share_left_at((330.0, 330.0)) < 0.5) is (flight is far)

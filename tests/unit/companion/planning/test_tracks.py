@@ -48,9 +48,9 @@ def _lanes(
 
 def _ends(track: Track) -> list[Point]:
     return [
-        (round(place[0], 3) + 0.0, round(place[1], 3) + 0.0)
+        (round(position[0], 3) + 0.0, round(position[1], 3) + 0.0)
         for leg in track
-        for place in (leg.start_enu_m, leg.end_enu_m)
+        for position in (leg.start_enu_m, leg.end_enu_m)
     ]
 
 
@@ -59,9 +59,10 @@ def _hop_m(track: Track) -> float:
     return sum(math.dist(a.end_enu_m, b.start_enu_m) for a, b in pairwise(track))
 
 
-def _distance_m(track: Track, place: Point) -> float:
+def _distance_m(track: Track, position: Point) -> float:
     return min(
-        math.dist(place, nearest_on_segment(leg.start_enu_m, leg.end_enu_m, place)) for leg in track
+        math.dist(position, nearest_on_segment(leg.start_enu_m, leg.end_enu_m, position))
+        for leg in track
     )
 
 
@@ -134,9 +135,12 @@ def test_no_place_deep_in_any_area_is_farther_from_a_lane_than_half_the_spacing(
     area: tuple[Point, ...], spacing_m: float, heading_rad: float, data: st.DataObject
 ) -> None:
     track = _lanes(area, spacing_m, heading_rad)
-    place = data.draw(st.tuples(st.floats(-160.0, 160.0), st.floats(-160.0, 160.0)))
-    if contains(area, place) and distance_to_border_m(area, place) > 0.5 * spacing_m + LEAST_LEG_M:
-        assert _distance_m(track, place) <= 0.5 * spacing_m + 1e-6
+    position = data.draw(st.tuples(st.floats(-160.0, 160.0), st.floats(-160.0, 160.0)))
+    if (
+        contains(area, position)
+        and distance_to_border_m(area, position) > 0.5 * spacing_m + LEAST_LEG_M
+    ):
+        assert _distance_m(track, position) <= 0.5 * spacing_m + 1e-6
 
 
 @settings(max_examples=60, deadline=None)

@@ -74,7 +74,7 @@ def _turned(axis: Mount, yaw_rad: float) -> Vector:
 def _told(
     antenna: Antenna, d_m: float, height_m: float, range_m: float, cosine_rad: float, yaw_rad: float
 ) -> float:
-    """Trace of the information about the place by the filter's own Jacobian, leg along east."""
+    """Trace of the information about the position by the filter's own Jacobian, leg along east."""
     first, second = (_turned(axis, yaw_rad) for axis in (antenna.first, antenna.second))
     model = FilterParams(antenna=AntennaParams(kind="two_axis")).model
     pose = np.concatenate([[-d_m, 0.0, height_m], first, second])

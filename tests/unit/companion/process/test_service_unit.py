@@ -77,9 +77,9 @@ def test_setpoints_go_before_other_programs_and_the_page_does_not() -> None:
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
 def test_systemd_finds_it_hardly_exposed(tmp_path: Path) -> None:
-    place = tmp_path / "etc/systemd/system"
-    place.mkdir(parents=True)
-    shutil.copy(UNIT, place)
+    folder = tmp_path / "etc/systemd/system"
+    folder.mkdir(parents=True)
+    shutil.copy(UNIT, folder)
     command = ["systemd-analyze", "security", "--offline=true", f"--root={tmp_path}", UNIT.name]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     found = re.search(r"Overall exposure level for \S+: ([\d.]+)", done.stdout)

@@ -58,7 +58,7 @@ class Truth:
 
     @property
     def sigma_m(self) -> float:
-        """Noise within and between places together, m."""
+        """Noise at one position and between positions together, m."""
         return math.hypot(self.scatter_m, self.between_m)
 
 
@@ -91,7 +91,7 @@ def drawn(rng: np.random.Generator) -> Truth:
 class Course:
     """Course of a vehicle, sampled at 20 Hz: positions and headings."""
 
-    places: list[tuple[float, float, float]]
+    positions: list[tuple[float, float, float]]
     yaws: list[float]
     step_s: float = 0.05
 
@@ -99,25 +99,25 @@ class Course:
         """Stand, and turn evenly meanwhile."""
         count = max(1, round(seconds / self.step_s))
         for _ in range(count):
-            self.places.append(self.places[-1])
+            self.positions.append(self.positions[-1])
             self.yaws.append(self.yaws[-1] + turn_rad / count)
 
-    def go(self, place: tuple[float, float, float], speed_mps: float) -> None:
+    def go(self, position: tuple[float, float, float], speed_mps: float) -> None:
         """Fly straight, accelerating and braking within a second; the heading stays."""
-        start, end = np.array(self.places[-1]), np.array(place)
+        start, end = np.array(self.positions[-1]), np.array(position)
         length = float(np.linalg.norm(end - start))
         seconds = length / speed_mps + 1.0
         for t in np.arange(self.step_s, seconds + self.step_s, self.step_s):
             part = (np.clip(t, 0, seconds - 1.0) + np.clip(t - 1.0, 0, seconds - 1.0)) / 2.0
             share = min(1.0, part / max(seconds - 1.0, 1e-9))
-            self.places.append(tuple(start + share * (end - start)))
+            self.positions.append(tuple(start + share * (end - start)))
             self.yaws.append(self.yaws[-1])
 
     def circle(self, radius_m: float, speed_mps: float) -> None:
         """Fly once about the point, with the nose along the way."""
         count = round(2.0 * math.pi * radius_m / speed_mps / self.step_s)
-        begin = math.atan2(self.places[-1][1] - POINT[1], self.places[-1][0] - POINT[0])
-        up = self.places[-1][2]
+        begin = math.atan2(self.positions[-1][1] - POINT[1], self.positions[-1][0] - POINT[0])
+        up = self.positions[-1][2]
         self.stay(4.0, math.remainder(-begin - self.yaws[-1], 2.0 * math.pi))
         turns = self.yaws[-1] + begin
         for angle in begin + np.linspace(0.0, 2.0 * math.pi, count):
@@ -125,7 +125,7 @@ class Course:
                 POINT[0] + radius_m * math.cos(angle),
                 POINT[1] + radius_m * math.sin(angle),
             )
-            self.places.append((east, north, up))
+            self.positions.append((east, north, up))
             self.yaws.append(turns - float(angle))
 
 
@@ -150,12 +150,12 @@ def all_tests() -> tuple[Course, tuple[float, float]]:
     course.go(at(STOPS_M[0]), 4.0)
     course.go(at(30.0), 4.0)
     course.circle(float(np.hypot(*(np.array(at(30.0)) - np.array(POINT))[:2])), 5.0)
-    begin = len(course.places) * course.step_s
+    begin = len(course.positions) * course.step_s
     course.stay(30.0)
-    return course, (begin, len(course.places) * course.step_s)
+    return course, (begin, len(course.positions) * course.step_s)
 
 
-class PlaceEffect:
+class PositionEffect:
     """Range error by reflections, correlated between nearby positions."""
 
     def __init__(self, rng: np.random.Generator, truth: Truth) -> None:
@@ -165,9 +165,9 @@ class PlaceEffect:
         self._phases = rng.uniform(0.0, 2.0 * math.pi, waves)
         self._gain = truth.between_m * math.sqrt(2.0 / waves)
 
-    def at(self, place: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    def at(self, position: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
         """Return the error, about normal, m."""
-        return self._gain * float(np.sum(np.cos(self._vectors @ place + self._phases)))
+        return self._gain * float(np.sum(np.cos(self._vectors @ position + self._phases)))
 
 
 def simulated(
@@ -178,25 +178,25 @@ def simulated(
     radio: str = "simulated",
 ) -> CalibrationRun:
     """Return the recording of a radio on a course."""
-    effect = PlaceEffect(rng, truth)
+    effect = PositionEffect(rng, truth)
     phase, compass_phase = rng.uniform(0.0, 2.0 * math.pi, 2)
-    places, yaws = np.array(course.places), np.array(course.yaws)
-    times = 100.0 + course.step_s * np.arange(len(places))
-    own = truth.own_sigma_m * rng.standard_normal(places.shape)
+    positions, yaws = np.array(course.positions), np.array(course.yaws)
+    times = 100.0 + course.step_s * np.arange(len(positions))
+    own = truth.own_sigma_m * rng.standard_normal(positions.shape)
     seen_yaws = yaws + truth.compass_rad * np.cos(yaws - compass_phase)
     poses = [
         TimedPose(
             float(t), tuple(p.tolist()), wrap_pi(float(y)), 0.0, 0.0, max(truth.own_sigma_m, 1e-3)
         )
-        for t, p, y in zip(times[::2], (places + own)[::2], seen_yaws[::2], strict=True)
+        for t, p, y in zip(times[::2], (positions + own)[::2], seen_yaws[::2], strict=True)
     ]
     measurements: list[RangingMeasurement] = []
     for t in np.arange(times[0], times[-1] - truth.lag_s, 1.0 / RATE_HZ):
-        place = np.array([np.interp(t, times, column) for column in places.T])
+        position = np.array([np.interp(t, times, column) for column in positions.T])
         yaw = float(np.interp(t, times, yaws))
         is_blocked = blocked[0] <= t - 100.0 <= blocked[1]
         measurements.append(
-            _measured(truth, rng, (float(t), place, yaw), effect, phase, is_blocked=is_blocked)
+            _measured(truth, rng, (float(t), position, yaw), effect, phase, is_blocked=is_blocked)
         )
     return CalibrationRun(radio, 7, measurements, poses, POINT)
 
@@ -205,18 +205,18 @@ def _measured(
     truth: Truth,
     rng: np.random.Generator,
     moment: tuple[float, np.ndarray[tuple[int], np.dtype[np.float64]], float],
-    effect: PlaceEffect,
+    effect: PositionEffect,
     phase: float,
     *,
     is_blocked: bool,
 ) -> RangingMeasurement:
-    t, place, yaw = moment
-    way = np.array(POINT) - place
+    t, position, yaw = moment
+    way = np.array(POINT) - position
     slant = float(np.linalg.norm(way))
     share = 0.8 if is_blocked else truth.nlos_share
     excess = float(rng.exponential(truth.excess_m)) if rng.random() < share else 0.0
     noise = truth.scatter_m * float(rng.standard_normal())
-    said = truth.offset_m + truth.scale * slant + effect.at(place) + excess + noise
+    said = truth.offset_m + truth.scale * slant + effect.at(position) + excess + noise
     off = wrap_pi(math.atan2(way[0], way[1]) - yaw - truth.mount_rad)
     normal, gross, anywhere = rng.standard_normal(), rng.random(), rng.uniform(-math.pi, math.pi)
     if truth.is_folded:

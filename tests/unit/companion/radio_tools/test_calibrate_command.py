@@ -99,8 +99,8 @@ def test_two_antennas_become_an_antenna_of_the_estimator(
 def test_the_point_may_be_told_in_degrees(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    place = LocalOrigin(47.0, 8.0, 400.0).geodetic_from_enu(POINT)
-    assert typed(recording, "--point", ",".join(f"{value:.9f}" for value in place)) == 0
+    position = LocalOrigin(47.0, 8.0, 400.0).geodetic_from_enu(POINT)
+    assert typed(recording, "--point", ",".join(f"{value:.9f}" for value in position)) == 0
     stage, _ = pasted(capsys.readouterr().out)
     assert stage["range_offset_m"] == pytest.approx(27.3, abs=0.1)
 

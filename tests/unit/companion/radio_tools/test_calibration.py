@@ -329,10 +329,10 @@ def test_what_is_refused_of_bearings_leaves_the_ranges_usable() -> None:
 def measured_by_north(run: CalibrationRun, turned_rad: float, sign: int = 1) -> CalibrationRun:
     kept: list[RangingMeasurement] = []
     rng = np.random.default_rng(9)
-    places = {pose.t_s: pose.enu_m for pose in run.poses}
-    times = np.array(list(places))
+    positions = {pose.t_s: pose.enu_m for pose in run.poses}
+    times = np.array(list(positions))
     for m in run.measurements:
-        east, north, _ = places[times[int(np.argmin(np.abs(times - m.measured_at_s)))]]
+        east, north, _ = positions[times[int(np.argmin(np.abs(times - m.measured_at_s)))]]
         true = math.atan2(POINT[1] - north, POINT[0] - east)
         said = sign * true + turned_rad + 0.05 * rng.standard_normal()
         kept.append(
@@ -362,7 +362,7 @@ def test_bearings_by_north_that_turn_the_other_way_are_refused() -> None:
 
 
 def test_where_one_place_has_most_of_the_variance_there_are_not_as_many_as_there_are() -> None:
-    """Twelve places whose mean is as uncertain either way, by one of them or by all alike."""
+    """Twelve positions whose mean is as uncertain either way, by one of them or by all alike."""
     count = 12
     one, all_alike = np.zeros(count), np.tile([-1.0, 1.0], count // 2)
     one[0] = math.sqrt(count / (1.0 - 1.0 / count))

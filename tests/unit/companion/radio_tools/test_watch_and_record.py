@@ -109,9 +109,9 @@ def test_a_pose_is_a_position_with_the_attitude_of_its_time() -> None:
     say(attitude(4000, 0.2), 4.0)
     say(local_position(4050, 3.0, 4.0, -20.0, 0.0, 0.0, 0.0), 4.05)
     say(attitude(4100, 0.4), 4.1)
-    place, pose = found
-    assert isinstance(place, RecordedOrigin)
-    assert place.latitude_deg == 47.0
+    position, pose = found
+    assert isinstance(position, RecordedOrigin)
+    assert position.latitude_deg == 47.0
     assert isinstance(pose, TimedPose)
     assert pose.t_s == pytest.approx(4.05, abs=0.01)
     assert pose.enu_m == (4.0, 3.0, 20.0)
@@ -153,10 +153,10 @@ def recording(path: Path, *, with_poses: bool) -> Path:
     with RadioRecordingWriter(path, header) as writer:
         for step in range(200):
             now_s = 0.25 * step
-            place = (0.4 * step, 20.0 * math.sin(0.1 * step), 20.0)
+            position = (0.4 * step, 20.0 * math.sin(0.1 * step), 20.0)
             if with_poses:
-                writer.write(TimedPose(now_s, place, 0.0))
-            range_m = math.dist(place, EMITTER_ENU_M) + 5.0
+                writer.write(TimedPose(now_s, position, 0.0))
+            range_m = math.dist(position, EMITTER_ENU_M) + 5.0
             writer.write(RadioBytes(now_s, 0, line(emitter_id=7, range=range_m)))
     return path
 

@@ -19,7 +19,7 @@ BRACKETS = (
     "022E[7.94,8.03,0.00]=3.38 9280[7.95,0.00,0.00]=5.49 DCAE[0.00,8.03,0.00]=7.73 "
     "5431[0.00,0.00,0.00]=9.01 le_us=3082 est[6.97,5.17,-1.77,53]"
 )
-OWN_PLACE = "POS,7.10,5.24,-2.03,53"
+OWN_POSITION = "POS,7.10,5.24,-2.03,53"
 TORN = "DIST,4,AN0,0090,1.00,2.00,0.00,3.00,AN3,15BA,0.00,0,AN3,15BA,0.00,0.00,0.00,0.00"
 POSITION = bytes.fromhex("4b 0a 00 00 1f 04 00 00 9c 0e 00 00 64")
 ANSWER = bytes.fromhex(
@@ -42,7 +42,7 @@ def ranges(readings: list[RadioReading]) -> dict[object, float | None]:
         (BRACKETS, {"022E": 3.38, "9280": 5.49, "DCAE": 7.73, "5431": 9.01}),
         (f"dwm> {FOUR}", {"022E": 3.44, "9280": 5.68, "DCAE": 7.76, "5431": 8.73}),
         ("DIST,0,POS,6.95,5.37,-1.97,52", {}),
-        (OWN_PLACE, {}),
+        (OWN_POSITION, {}),
     ],
 )
 def test_a_line_tells_a_range_an_anchor_and_nothing_of_the_own_place(

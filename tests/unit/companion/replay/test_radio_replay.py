@@ -27,9 +27,9 @@ RADIO = RadioConfig(name="ndjson", url="serial:/dev/null", settings={"range_offs
 CONFIG = CompanionConfig(radios=(RADIO,))
 
 
-def line_of(place_enu_m: tuple[float, float, float], now_s: float) -> bytes:
-    """What the radio says from a place: 27 m too much, by a clock of its own."""
-    said_m = math.dist(place_enu_m, EMITTER_ENU_M) + OFFSET_M
+def line_of(position_enu_m: tuple[float, float, float], now_s: float) -> bytes:
+    """Return the radio's line at a position: its range is 27 m too long, its clock its own."""
+    said_m = math.dist(position_enu_m, EMITTER_ENU_M) + OFFSET_M
     line = {"emitter_id": "tag", "time_usec": round(1e6 * (now_s + 500.0)), "range": said_m}
     return json.dumps(line).encode() + b"\n"
 
@@ -46,12 +46,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     wire.ready()
     for step in range(160):
         wire.wait(0.25)
-        place = (0.4 * step, 20.0 * math.sin(0.1 * step), 20.0)
+        position = (0.4 * step, 20.0 * math.sin(0.1 * step), 20.0)
         boot_ms = round(1e3 * wire.now_s)
-        wire.say(local_position(boot_ms, place[1], place[0], -place[2], 0.0, 0.0, 0.0))
+        wire.say(local_position(boot_ms, position[1], position[0], -position[2], 0.0, 0.0, 0.0))
         if step % 4 == 0:
             wire.say(heartbeat(custom_mode=HOLD, is_armed=True, status=4))
-        line = line_of(place, wire.now_s)
+        line = line_of(position, wire.now_s)
         pieces = (line[:9], b"") if step == 80 else (line[:9], line[9:])
         for piece in pieces:
             wire.endpoint.receive(Chunk(1, piece, is_datagram=False), wire.now_s)
@@ -59,10 +59,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def place_of(replay: FlightReplay) -> tuple[float, float]:
-    place = replay.replayed.estimates[-1]["position_enu_m"]
-    assert isinstance(place, list)
-    return (place[0], place[1])
+def position_of(replay: FlightReplay) -> tuple[float, float]:
+    position = replay.replayed.estimates[-1]["position_enu_m"]
+    assert isinstance(position, list)
+    return (position[0], position[1])
 
 
 def test_the_log_has_the_very_bytes_and_where_the_line_was_lost(recorded: Path) -> None:
@@ -76,7 +76,7 @@ def test_the_same_settings_give_the_same_bits(recorded: Path) -> None:
     replay = replay_flight(recorded, None, lambda _: None)
     assert len(replay.recorded.estimates) > 50
     assert replay.verdict.startswith("IDENTICAL")
-    assert math.dist(place_of(replay), EMITTER_ENU_M[:2]) < 2.0
+    assert math.dist(position_of(replay), EMITTER_ENU_M[:2]) < 2.0
 
 
 def test_a_configuration_that_says_nothing_of_the_radio_leaves_it_as_it_flew(

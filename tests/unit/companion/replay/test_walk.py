@@ -78,8 +78,8 @@ def circle(count: int = 120) -> list[dict[str, object]]:
 def test_in_a_walk_with_heights_the_height_of_the_target_is_estimated(tmp_path: Path) -> None:
     rows, target = circle(), (4.0, 3.0, 2.5)
     for index, row in enumerate(rows):
-        place = (float(str(row["agent_x_m"])), float(str(row["agent_y_m"])), 0.05 * index)
-        row |= {"agent_z_m": place[2], "range_m": math.dist(place, target)}
+        position = (float(str(row["agent_x_m"])), float(str(row["agent_y_m"])), 0.05 * index)
+        row |= {"agent_z_m": position[2], "range_m": math.dist(position, target)}
         row |= {"target_x_m": target[0], "target_y_m": target[1]}
     (found,) = replay_walk(write_walk(tmp_path / "walk.csv", rows), TrackerParams())
     assert found.estimate is not None

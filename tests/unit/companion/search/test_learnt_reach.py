@@ -63,21 +63,21 @@ def test_over_many_emitters_it_is_nearer_to_the_truth_than_what_was_configured()
         area, emitter = SearchedArea(grid, MODEL), tuple(rng.uniform(100.0, 300.0, 2).tolist())
         path_db, square = 0.0, None
         for east in np.arange(0.0, SIDE_M, 5.0):
-            place = (float(east), 200.0, HEIGHT_M)
+            position = (float(east), 200.0, HEIGHT_M)
             if int(east / MODEL.propagation.correlation_m) != square:
                 square = int(east / MODEL.propagation.correlation_m)
                 path_db = float(rng.normal(0.0, MODEL.path_sigma_db))
-            margin = float(MODEL.margin_db(np.array([emitter]), place)[0])
+            margin = float(MODEL.margin_db(np.array([emitter]), position)[0])
             if margin + error_db + own_db + path_db > 0.0:
                 area.finish()
-                learnt = learnt_reach(area, place, emitter)
+                learnt = learnt_reach(area, position, emitter)
                 assert learnt is not None
                 shown_db = 10.0 * MODEL.propagation.exponent * math.log10(learnt.reach_m / 80.0)
                 configured.append(error_db)
                 learnt_errors.append(error_db - shown_db)
                 sigmas.append(learnt.reach_sigma_db)
                 break
-            area.listen(place, 1.0)
+            area.listen(position, 1.0)
     assert len(configured) > 30
     assert np.std(learnt_errors) < 0.95 * np.std(configured)
     assert np.sqrt(np.mean(np.square(learnt_errors))) < 1.3 * np.mean(sigmas)

@@ -23,8 +23,8 @@ def a_grid(weight_west: float = 1.0) -> SearchGrid:
 def fly(area: SearchedArea, start: tuple[float, float], end: tuple[float, float]) -> None:
     length_m = float(np.hypot(end[0] - start[0], end[1] - start[1]))
     for share in (np.arange(0.0, length_m, SPEED_MPS) + 0.5 * SPEED_MPS) / length_m:
-        place = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
-        area.listen((place[0], place[1], HEIGHT_M), 1.0)
+        position = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
+        area.listen((position[0], position[1], HEIGHT_M), 1.0)
     area.finish()
 
 

@@ -38,7 +38,7 @@ def test_fading_is_rices_about_its_median(k_db: float) -> None:
 
 
 def test_pod_is_what_the_model_means() -> None:
-    """Against the model's own random numbers: two places, five and two answers."""
+    """Against the model's own random numbers: two positions, five and two answers."""
     rng = np.random.default_rng(3)
     runs = 400_000
     shared = rng.normal(0.0, MODEL.cell_sigma_db, runs)

@@ -72,8 +72,8 @@ def test_the_same_flight_twice_is_hardly_more_than_once() -> None:
 
 
 def test_a_flight_of_another_origin_is_moved() -> None:
-    place = ORIGIN.geodetic_from_enu((0.0, -60.0, 0.0))
-    moved = flight(170.0, LocalOrigin(place[0], place[1], 400.0))
+    position = ORIGIN.geodetic_from_enu((0.0, -60.0, 0.0))
+    moved = flight(170.0, LocalOrigin(position[0], position[1], 400.0))
     assert pos_of(flight(110.0), moved) == pytest.approx(
         pos_of(flight(110.0), flight(110.0)), abs=1e-3
     )

@@ -56,7 +56,7 @@ def test_what_a_server_has_about_a_place_is_fetched_once(server: str, tmp_path: 
     wanted = wanted_tiles("47.398,8.546", 300.0, "15-16")
     assert fetch(server, tmp_path) == 0
     assert TileServer.asked == [f"/{z}/{x}/{y}" for z, x, y in wanted]
-    assert all(tile(tmp_path, *place) == picture(*place) for place in wanted)
+    assert all(tile(tmp_path, *position) == picture(*position) for position in wanted)
     assert fetch(server, tmp_path) == 0
     assert len(TileServer.asked) == len(wanted)
 

@@ -104,8 +104,8 @@ def test_a_flight_leads_a_team_to_the_emitter(team: socket.socket) -> None:
     point = events[-1].find("point")
     assert point is not None
     degrees = float(point.attrib["lat"]), float(point.attrib["lon"])
-    place = origin.enu_from_geodetic(*degrees, origin.altitude_m)
-    assert place[:2] == pytest.approx(loop.flight.scenario.emitter.position_enu_m[:2], abs=3.0)
+    position = origin.enu_from_geodetic(*degrees, origin.altitude_m)
+    assert position[:2] == pytest.approx(loop.flight.scenario.emitter.position_enu_m[:2], abs=3.0)
     assert float(point.attrib["ce"]) == pytest.approx(estimate.absolute_r95_m, abs=0.2)
     assert estimate.r95_m < 2.0
     view.update(loop.companion, loop.now_s + 100.0)  # its socket is gone: nothing is raised

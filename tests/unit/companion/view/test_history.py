@@ -20,22 +20,22 @@ from companion.view.history import (
 )
 
 
-def off_line_m(place: Point, line: list[Point]) -> float:
-    """Distance from a place to the nearest part of a line."""
-    return min(off_leg_m(place, *leg) for leg in pairwise(line))
+def off_line_m(position: Point, line: list[Point]) -> float:
+    """Return the distance from a position to the nearest part of a line."""
+    return min(off_leg_m(position, *leg) for leg in pairwise(line))
 
 
-def off_leg_m(place: Point, start: Point, end: Point) -> float:
-    (px, py), (sx, sy), (ex, ey) = place, start, end
+def off_leg_m(position: Point, start: Point, end: Point) -> float:
+    (px, py), (sx, sy), (ex, ey) = position, start, end
     length2 = (ex - sx) ** 2 + (ey - sy) ** 2
     share = 0.0 if length2 == 0.0 else ((px - sx) * (ex - sx) + (py - sy) * (ey - sy)) / length2
     share = min(1.0, max(0.0, share))
-    return math.dist(place, (sx + share * (ex - sx), sy + share * (ey - sy)))
+    return math.dist(position, (sx + share * (ex - sx), sy + share * (ey - sy)))
 
 
 def crossings(count: int) -> list[Point]:
-    """Straight passes over a place, with a half turn behind it, 0.5 m apart."""
-    places: list[Point] = []
+    """Return straight passes over a position, with a half turn behind it, 0.5 m apart."""
+    positions: list[Point] = []
     for number in range(count):
         turn_rad = number * math.radians(40.0)
         c, s = math.cos(turn_rad), math.sin(turn_rad)
@@ -44,18 +44,18 @@ def crossings(count: int) -> list[Point]:
             (20.0 + 4.0 * math.sin(a), 4.0 - 4.0 * math.cos(a))
             for a in (0.125 * step for step in range(25))
         ]
-        places += [(c * x - s * y, s * x + c * y) for x, y in (*away, *round_it)]
-    return places
+        positions += [(c * x - s * y, s * x + c * y) for x, y in (*away, *round_it)]
+    return positions
 
 
 def test_no_position_is_farther_from_the_line_than_the_tolerance() -> None:
-    track, places = FlightTrack(), crossings(6)
-    for place in places:
-        track.add(place)
-    assert max(off_line_m(place, track.line) for place in places) <= TOLERANCE_M + 1e-9
-    assert len(track.items) < len(places) / 4
-    assert track.line[0] == places[0]
-    assert track.line[-1] == pytest.approx(places[-1], abs=TOLERANCE_M)
+    track, positions = FlightTrack(), crossings(6)
+    for position in positions:
+        track.add(position)
+    assert max(off_line_m(position, track.line) for position in positions) <= TOLERANCE_M + 1e-9
+    assert len(track.items) < len(positions) / 4
+    assert track.line[0] == positions[0]
+    assert track.line[-1] == pytest.approx(positions[-1], abs=TOLERANCE_M)
 
 
 def test_a_hover_leaves_one_corner_and_a_way_back_its_turn() -> None:
@@ -69,18 +69,18 @@ def test_a_hover_leaves_one_corner_and_a_way_back_its_turn() -> None:
 
 
 def test_a_flight_of_hours_keeps_its_beginning_as_well_as_its_end() -> None:
-    track, places = FlightTrack(), crossings(400)
-    for number, (east_m, north_m) in enumerate(places):
+    track, positions = FlightTrack(), crossings(400)
+    for number, (east_m, north_m) in enumerate(positions):
         track.add((east_m + 0.02 * number, north_m))
     assert len(track.items) <= MOST_CORNERS
-    first = [(east_m + 0.02 * n, north_m) for n, (east_m, north_m) in enumerate(places[:400])]
-    assert max(off_line_m(place, track.line[:400]) for place in first) < 4.0
+    first = [(east_m + 0.02 * n, north_m) for n, (east_m, north_m) in enumerate(positions[:400])]
+    assert max(off_line_m(position, track.line[:400]) for position in first) < 4.0
 
 
 def test_another_origin_begins_another_track() -> None:
     track = FlightTrack()
-    for place in ((0.0, 0.0), (9.0, 0.0)):
-        track.add(place)
+    for position in ((0.0, 0.0), (9.0, 0.0)):
+        track.add(position)
     version = track.version
     track.clear()
     track.add((3.0, 3.0))

@@ -1,4 +1,4 @@
-"""The error of a vehicle's own place: its statistics, its changes, and what is told of it."""
+"""The error of a vehicle's own position: its statistics, its changes, and its report."""
 
 from __future__ import annotations
 

@@ -102,8 +102,8 @@ def test_nooploop_prints_place_and_ranges() -> None:
     )
     vector = of_hex(text)
     node = Node(1, 9_157, 1_926_842, 4.973, TAG)
-    place_m, velocity_mps = (2.782, -0.033, 1.000), (-0.0006, 0.0026, 0.0)
-    motion = NodeState(b"\x06\x09\xff", place_m, velocity_mps, vector[31:102], vector[106:116])
+    position_m, velocity_mps = (2.782, -0.033, 1.000), (-0.0006, 0.0026, 0.0)
+    motion = NodeState(b"\x06\x09\xff", position_m, velocity_mps, vector[31:102], vector[106:116])
     told = (
         (0, 3.179, -88.5, -79.5, "16 45"),
         (1, 5.548, -90.0, -80.5, "d3 01"),

@@ -43,9 +43,9 @@ def _ended(number: int) -> int:
     return number
 
 
-def _noted(place: tuple[Path, int]) -> int:
+def _noted(target: tuple[Path, int]) -> int:
     """Work for an hour, unless it is the first one; leaves a note on its way out."""
-    folder, number = place
+    folder, number = target
     try:
         time.sleep(3600.0 if number else 0.0)
     finally:

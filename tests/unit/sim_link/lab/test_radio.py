@@ -146,8 +146,8 @@ def test_an_emitter_on_earth_waits_for_the_origin_and_asks_for_it() -> None:
 
 
 def test_an_altitude_above_the_sea_counts() -> None:
-    place = ORIGIN.geodetic_from_enu((0.0, 0.0, -12.0))
-    emitter = GeodeticEmitter(1, *place).local(ORIGIN)
+    position = ORIGIN.geodetic_from_enu((0.0, 0.0, -12.0))
+    emitter = GeodeticEmitter(1, *position).local(ORIGIN)
     assert emitter.position_enu_m == pytest.approx((0.0, 0.0, -12.0), abs=1e-3)
 
 

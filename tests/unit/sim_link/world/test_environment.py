@@ -32,15 +32,15 @@ SAMPLES = 20_000
 
 
 def suffered(
-    shadow: ShadowParams, places: list[tuple[float, float]], seed: int = 1
+    shadow: ShadowParams, positions: list[tuple[float, float]], seed: int = 1
 ) -> tuple[Vector, Vector]:
-    """Excess and bend at one place after the other."""
+    """Return excess and bend at one position after the other."""
     surroundings = Environment([BLOCK]).around(TARGET)
     rng, memory, rows = np.random.default_rng(seed), NO_MEMORY, []
-    for place in places:
+    for position in positions:
         drawn = (rng.random(), rng.standard_exponential(), rng.standard_normal())
         excess_m, bend_rad, memory = obstruction(
-            drawn, (*place, 0.0), OPEN, shadow_of(shadow), surroundings, memory
+            drawn, (*position, 0.0), OPEN, shadow_of(shadow), surroundings, memory
         )
         rows.append((excess_m, bend_rad))
     table = np.array(rows)
@@ -48,7 +48,7 @@ def suffered(
 
 
 def along_the_shadow(step_m: float, count: int) -> list[tuple[float, float]]:
-    """To and fro where every place is hidden."""
+    """Return a track to and fro where every position is hidden."""
     metres = step_m * np.arange(count)
     return [(10.0, 45.0 + float(abs((metre % 10.0) - 5.0))) for metre in metres]
 
@@ -125,8 +125,8 @@ def test_who_hovers_in_the_shadow_measures_the_same_bias() -> None:
 
 
 def test_the_open_between_leaves_the_memory_of_the_shadow() -> None:
-    places = [HIDDEN, *[SEEN] * 5, HIDDEN]
-    excess_m, bend_rad = suffered(ShadowParams(), places)
+    positions = [HIDDEN, *[SEEN] * 5, HIDDEN]
+    excess_m, bend_rad = suffered(ShadowParams(), positions)
     assert excess_m[-1] == pytest.approx(excess_m[0])
     assert bend_rad[-1] == pytest.approx(bend_rad[0])
 
@@ -142,9 +142,9 @@ def test_no_path_is_shorter_than_straight(
     obstacle = msgspec.structs.replace(BLOCK, height_m=20.0)
     surroundings = Environment([obstacle]).around(TARGET)
     shadow, memory = shadow_of(ShadowParams()), NO_MEMORY
-    for place in ((0.0, 50.0, 1.0), (east, north, up)):
+    for position in ((0.0, 50.0, 1.0), (east, north, up)):
         excess_m, bend_rad, memory = obstruction(
-            (uniform, exponential, normal), place, OPEN, shadow, surroundings, memory
+            (uniform, exponential, normal), position, OPEN, shadow, surroundings, memory
         )
         assert 0.0 <= excess_m < math.inf
         assert math.isfinite(bend_rad)

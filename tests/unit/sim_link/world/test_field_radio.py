@@ -1,4 +1,4 @@
-"""A radio in the field: what stays with the place, burial, steps, losses and antennas."""
+"""A radio in the field: spatially correlated errors, burial, steps, losses and antennas."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def radio(
 
 
 def heard(
-    instrument: FieldRadio, places: Sequence[PositionEnu], attitude: EulerAngles = LEVEL
+    instrument: FieldRadio, positions: Sequence[PositionEnu], attitude: EulerAngles = LEVEL
 ) -> list[RangingMeasurement]:
-    answers = (instrument.hear(EMITTER, place, 0.0, attitude) for place in places)
+    answers = (instrument.hear(EMITTER, position, 0.0, attitude) for position in positions)
     return [answer for answer in answers if answer is not None]
 
 
-def ranges_m(instrument: FieldRadio, places: Sequence[PositionEnu]) -> list[float]:
-    return [each.range_m for each in heard(instrument, places) if each.range_m is not None]
+def ranges_m(instrument: FieldRadio, positions: Sequence[PositionEnu]) -> list[float]:
+    return [each.range_m for each in heard(instrument, positions) if each.range_m is not None]
 
 
 def along(step_m: float, count: int, up_m: float = 20.0) -> list[PositionEnu]:
@@ -97,27 +97,27 @@ def test_by_default_it_is_the_papers_channel_to_the_last_bit() -> None:
     plain = RadioChannel(ChannelParams(), np.random.default_rng(3), Environment([BLOCK]))
     field = radio(ChannelParams(), obstacles=[BLOCK])
     leaning = EulerAngles(0.2, 0.1, 1.0)
-    for place in along(1.0, 100):
-        assert field.hear(EMITTER, place, 0.5, leaning) == plain.measure(EMITTER, place, 0.5)
+    for position in along(1.0, 100):
+        assert field.hear(EMITTER, position, 0.5, leaning) == plain.measure(EMITTER, position, 0.5)
 
 
 def test_what_the_field_adds_draws_from_a_generator_of_its_own() -> None:
     plain, field = radio(ChannelParams()), radio(FieldChannelParams(range_sigma_growth=1e-12))
-    places = along(1.0, 50)
-    assert ranges_m(field, places) == pytest.approx(ranges_m(plain, places), abs=1e-6)
+    positions = along(1.0, 50)
+    assert ranges_m(field, positions) == pytest.approx(ranges_m(plain, positions), abs=1e-6)
 
 
 OBSTRUCTED = with_(p_nlos=0.7, range_bias_mean_m=8.0, correlation_m=6.0)
 
 
 def excesses_m(params: FieldChannelParams, step_m: float, count: int) -> list[float]:
-    places = along(step_m, count)
-    measured = ranges_m(radio(params), places)
-    return [m - EMITTER.slant_range_m(p) for m, p in zip(measured, places, strict=True)]
+    positions = along(step_m, count)
+    measured = ranges_m(radio(params), positions)
+    return [m - EMITTER.slant_range_m(p) for m, p in zip(measured, positions, strict=True)]
 
 
 def test_what_stays_with_the_place_has_the_papers_distribution() -> None:
-    found = np.array(excesses_m(OBSTRUCTED, 30.0, 6000))  # places far apart: as good as new
+    found = np.array(excesses_m(OBSTRUCTED, 30.0, 6000))  # positions far apart: as good as new
     longer = found[found > 1e-9]
     assert len(longer) / len(found) == pytest.approx(0.7, abs=0.02)
     assert longer.mean() == pytest.approx(8.0, rel=0.04)
@@ -179,8 +179,8 @@ def test_ranges_come_in_steps() -> None:
 def test_noise_grows_with_the_range() -> None:
     params = with_(range_sigma_m=0.5, range_sigma_growth=0.01)
     for distance_m in (10.0, 150.0):
-        place = (50.0 - distance_m, 50.0, 0.0)
-        found = ranges_m(radio(params), [place] * 5000)
+        position = (50.0 - distance_m, 50.0, 0.0)
+        found = ranges_m(radio(params), [position] * 5000)
         assert np.std(found) == pytest.approx(math.hypot(0.5, 0.01 * distance_m), rel=0.04)
 
 
@@ -211,8 +211,8 @@ def test_its_excess_is_bounded_and_grows_off_the_vertical(permittivity: float, u
 def test_half_of_the_packets_are_heard_at_the_half_range() -> None:
     loss = LossParams(half_range_m=40.0)
     for distance_m, share in ((10.0, 1.0), (40.0, 0.5), (160.0, 0.0)):
-        place = (50.0 - distance_m, 50.0, 0.0)
-        count = len(heard(radio(with_(loss=loss)), [place] * 3000))
+        position = (50.0 - distance_m, 50.0, 0.0)
+        count = len(heard(radio(with_(loss=loss)), [position] * 3000))
         assert count / 3000 == pytest.approx(share, abs=0.03)
 
 
@@ -269,7 +269,7 @@ def test_walls_are_counted() -> None:
 def test_gross_errors_come_from_anywhere_for_a_while() -> None:
     params = with_(p_gross=0.3, gross_correlation_m=4.0)
     said = [each.bearing_body_rad for each in heard(radio(params, PLANAR), along(20.0, 4000))]
-    truth = [0.5 * math.pi - EMITTER.bearing_enu_rad(place) for place in along(20.0, 4000)]
+    truth = [0.5 * math.pi - EMITTER.bearing_enu_rad(position) for position in along(20.0, 4000)]
     off = np.array(
         [math.remainder((b or 0.0) - t, math.tau) for b, t in zip(said, truth, strict=True)]
     )
@@ -291,8 +291,8 @@ def test_an_ideal_antenna_has_gross_errors_in_azimuth() -> None:
 @pytest.mark.parametrize("horizontal_m", [40.0, 10.0, 5.0])
 def test_a_planar_array_tells_the_azimuth_worse_from_above(horizontal_m: float) -> None:
     params = with_(bearing_sigma_deg=2.0)
-    place = (50.0 - horizontal_m, 50.0, 20.0)
-    said = heard(radio(params, PLANAR), [place] * 6000)
+    position = (50.0 - horizontal_m, 50.0, 20.0)
+    said = heard(radio(params, PLANAR), [position] * 6000)
     bearings = np.degrees([each.bearing_body_rad or 0.0 for each in said])
     slant_m = math.hypot(horizontal_m, 20.0)
     assert bearings.std() == pytest.approx(2.0 * slant_m / horizontal_m, rel=0.06)

@@ -138,8 +138,8 @@ def test_obstacles_do_not_change_what_chance_adds_in_the_open() -> None:
     hidden = RadioChannel(ChannelParams(), rngs[1], Environment([BLOCK]))
     changed = 0
     for step in range(120):
-        place = (float(step), 100.0, 15.0)
-        without, within = plain.draw(EMITTER, place), hidden.draw(EMITTER, place)
+        position = (float(step), 100.0, 15.0)
+        without, within = plain.draw(EMITTER, position), hidden.draw(EMITTER, position)
         changed += without != within
         assert (without.range_noise_m, without.bearing_noise_rad) == (
             within.range_noise_m,
@@ -174,8 +174,8 @@ def test_preparing_draws_nothing() -> None:
         for _ in range(2)
     )
     one.prepare(EMITTER)
-    for place in ((10.0, 45.0, 5.0), (70.0, 45.0, 5.0)):
-        assert one.measure(EMITTER, place, 0.0) == other.measure(EMITTER, place, 0.0)
+    for position in ((10.0, 45.0, 5.0), (70.0, 45.0, 5.0)):
+        assert one.measure(EMITTER, position, 0.0) == other.measure(EMITTER, position, 0.0)
 
 
 @given(
@@ -184,11 +184,11 @@ def test_preparing_draws_nothing() -> None:
     st.integers(0, 1000),
 )
 def test_without_noise_no_range_is_shorter_than_the_straight_line(
-    place: tuple[float, float, float], target: tuple[float, float], seed: int
+    position: tuple[float, float, float], target: tuple[float, float], seed: int
 ) -> None:
     params = ChannelParams(range_offset_m=0.0, range_sigma_m=0.0, p_nlos=0.5)
     channel = RadioChannel(params, np.random.default_rng(seed), Environment([BLOCK]))
     emitter = Emitter(EmitterParams(position_enu_m=target))
-    range_m = channel.measure(emitter, place, 0.0).range_m
+    range_m = channel.measure(emitter, position, 0.0).range_m
     assert range_m is not None
-    assert range_m >= emitter.slant_range_m(place)
+    assert range_m >= emitter.slant_range_m(position)

@@ -28,7 +28,7 @@ Corners = tuple[Point, ...]
 
 REACH_M = 24.0
 PLOTS = [(e, n) for e in (-50.0, 0.0, 50.0) for n in (-50.0, 0.0, 50.0) if (e, n) != (0.0, 0.0)]
-"""Places of obstacles with this reach that stand apart from each other."""
+"""Positions of obstacles with this reach that stand apart from each other."""
 
 BLOCK: Corners = ((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0))
 SQUARE: Corners = ((-10.0, -10.0), (10.0, -10.0), (10.0, 10.0), (-10.0, 10.0))
@@ -68,7 +68,7 @@ def scenes(draw: st.DrawFn) -> list[Corners]:
 
 @st.composite
 def shadows(draw: st.DrawFn) -> tuple[list[Corners], Point, Point]:
-    """Obstacles, and two places with one of them between."""
+    """Obstacles, and two positions with one of them between."""
     scene, angle = draw(scenes()), draw(st.floats(0.0, 2.0 * math.pi))
     far, near = draw(st.floats(REACH_M + 1.0, 90.0)), draw(st.floats(REACH_M + 1.0, 90.0))
     along = (math.cos(angle), math.sin(angle))
@@ -81,9 +81,9 @@ def environment(*polygons: Corners, height_m: float | None = None) -> Environmen
     )
 
 
-def outside(scene: list[Corners], *places: Point) -> None:
-    """Go on only with places clearly outside of the obstacles."""
-    assume(all(depth_m(polygon, place) < -0.01 for polygon in scene for place in places))
+def outside(scene: list[Corners], *positions: Point) -> None:
+    """Go on only with positions clearly outside of the obstacles."""
+    assume(all(depth_m(polygon, position) < -0.01 for polygon in scene for position in positions))
 
 
 def way_m(scene: Environment, target: PositionEnu, sensor: PositionEnu) -> float:
@@ -355,9 +355,9 @@ def test_a_shadow_of_a_roof_begins_at_zero(
         if aside[0] == aside[1] or aside[0] * aside[1] > 0.0:
             continue
         met = aside[0] / (aside[0] - aside[1])
-        place = (pe + met * (qe - pe), pn + met * (qn - pn))
-        if math.dist(nearest_on_segment(a, b, place), place) < 1e-6:
-            share = math.dist(a, place) / math.dist(a, b)
+        position = (pe + met * (qe - pe), pn + met * (qn - pn))
+        if math.dist(nearest_on_segment(a, b, position), position) < 1e-6:
+            share = math.dist(a, position) / math.dist(a, b)
             lifts_m.append(max(0.0, height_m - (up_a + share * (up_b - up_a))))
     scene_of_roofs = environment(*scene, height_m=height_m)
     excess_m = way_m(scene_of_roofs, (*a, up_a), (*b, up_b)) - math.dist((*a, up_a), (*b, up_b))

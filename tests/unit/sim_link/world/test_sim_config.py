@@ -56,7 +56,7 @@ def test_without_obstacles_there_is_no_environment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "place"),
+    ("text", "key"),
     [
         ("channel:\n  p_nlos: 1.5\n", "$.channel.p_nlos"),
         ("channel:\n  p_nloss: 0.5\n", "$.channel.p_nloss"),
@@ -85,16 +85,14 @@ def test_without_obstacles_there_is_no_environment() -> None:
         ("- 1\n", "$"),
     ],
 )
-def test_errors_name_the_file_and_the_key_in_one_line(
-    tmp_path: Path, text: str, place: str
-) -> None:
+def test_errors_name_the_file_and_the_key_in_one_line(tmp_path: Path, text: str, key: str) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         load_scenario(path)
     message = str(caught.value)
     assert str(path) in message
-    assert place in message
+    assert key in message
     assert "\n" not in message
 
 

@@ -135,35 +135,35 @@ def _seen(range_m: float) -> RangingMeasurement:
 
 
 def test_on_the_quadratic_part_its_covariance_is_the_closed_forms() -> None:
-    place = (0.0, 0.0, 20.0)
-    split_report = AdmmEkf(FilterParams()).update(_state(), _seen(49.5), place)
-    closed = AsymmetricHuberEkf(FilterParams()).update(_state(), _seen(49.5), place)
+    position = (0.0, 0.0, 20.0)
+    split_report = AdmmEkf(FilterParams()).update(_state(), _seen(49.5), position)
+    closed = AsymmetricHuberEkf(FilterParams()).update(_state(), _seen(49.5), position)
     np.testing.assert_allclose(split_report.state.covariance, closed.state.covariance, rtol=1e-12)
 
 
 def test_a_reflection_is_weighed_by_what_is_left_of_it() -> None:
     """The closed form weighs by the innovation, the splitting by the residual it ends with."""
-    place = (0.0, 0.0, 20.0)
+    position = (0.0, 0.0, 20.0)
     split_report = AdmmEkf(FilterParams(), AdmmParams(iterations=200)).update(
-        _state(), _seen(75.0), place
+        _state(), _seen(75.0), position
     )
-    closed = AsymmetricHuberEkf(FilterParams()).update(_state(), _seen(75.0), place)
+    closed = AsymmetricHuberEkf(FilterParams()).update(_state(), _seen(75.0), position)
     assert split_report.range is not None
     assert closed.range is not None
     assert closed.range.weight < split_report.range.weight < 1.0
 
 
 def test_iterations_and_penalty_are_those_configured() -> None:
-    place, seen = (0.0, 0.0, 20.0), _seen(75.0)
+    position, seen = (0.0, 0.0, 20.0), _seen(75.0)
     means = {
         (iterations, penalty): AdmmEkf(FilterParams(), AdmmParams(iterations, penalty))
-        .update(_state(), seen, place)
+        .update(_state(), seen, position)
         .state.mean.tobytes()
         for iterations in (1, 10)
         for penalty in (0.5, 1.0)
     }
     assert len(set(means.values())) == 4
-    default = AdmmEkf(FilterParams()).update(_state(), seen, place)
+    default = AdmmEkf(FilterParams()).update(_state(), seen, position)
     assert default.state.mean.tobytes() == means[10, 1.0]
 
 

@@ -8,7 +8,7 @@ from tests.unit.tools.study.reporting.case_helpers import canonical_case
 from tools.study.case import Case, run_seeds, scene_of
 from tools.study.metrics import channel_information, position_bounds_m2
 from tools.study.systems import System
-from tools.study.trials import bounds_m2, run_block, shaded_places, shadow_channel
+from tools.study.trials import bounds_m2, run_block, shaded_steps, shadow_channel
 
 BLOCK = ObstacleParams(corners_enu_m=((30.0, 30.0), (45.0, 30.0), (45.0, 60.0), (30.0, 60.0)))
 BEHIND = msgspec.structs.replace(canonical_case(p_nlos=0.1), obstacles=(BLOCK,), steps=60)
@@ -42,7 +42,7 @@ def test_a_shadow_tells_less() -> None:
     trials = run_block(BEHIND, PASSIVE, run_seeds(1, 1))
     shaded = bounds_m2(BEHIND, trials)[0]
     clear = bounds_m2(msgspec.structs.replace(BEHIND, obstacles=()), trials)[0]
-    is_shaded = shaded_places(
+    is_shaded = shaded_steps(
         np.ascontiguousarray(trials[0].track_enu_m), scene_of(BEHIND).surroundings
     )
     assert 0.1 < is_shaded.mean() < 0.9

@@ -40,9 +40,9 @@ def test_the_numbers_are_those_of_the_simulated_radio() -> None:
     emitter = Emitter(EmitterParams())
     truth = truth_of(Case(channel=params), stream(seed, TRUTH))
     for step, draw in enumerate(drawn(stream(seed, CHANNEL), 60)):
-        place = (10.0 + step, 80.0 - 1.5 * step, 0.0)
-        seen = radio.measure(emitter, place, 0.0)
-        range_m, bearing_rad = measured(draw, place[0], place[1], truth)
+        position = (10.0 + step, 80.0 - 1.5 * step, 0.0)
+        seen = radio.measure(emitter, position, 0.0)
+        range_m, bearing_rad = measured(draw, position[0], position[1], truth)
         assert seen.range_m == pytest.approx(range_m, rel=1e-12)
         assert seen.bearing_enu_rad == pytest.approx(wrap_pi(bearing_rad), rel=1e-9, abs=1e-12)
 

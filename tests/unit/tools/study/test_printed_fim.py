@@ -18,11 +18,11 @@ def _criteria(de_m: float, dn_m: float) -> np.ndarray[tuple[int], np.dtype[np.fl
     return printed_criteria(de_m, dn_m, RING_M, RANGE_SIGMA_M, BEARING_SIGMA_RAD)
 
 
-@pytest.mark.parametrize("place", [(60.0, 20.0), (-3.0, 4.0), (0.0, 0.5)])
+@pytest.mark.parametrize("position", [(60.0, 20.0), (-3.0, 4.0), (0.0, 0.5)])
 def test_it_is_the_smaller_eigenvalue_of_the_positions_information(
-    place: tuple[float, float],
+    position: tuple[float, float],
 ) -> None:
-    e, n = place
+    e, n = position
     r2 = e * e + n * n
     H = np.array([[e, n], [-n / math.sqrt(r2), e / math.sqrt(r2)]]) / math.sqrt(r2)
     information = H.T @ np.diag([RANGE_SIGMA_M**-2, BEARING_SIGMA_RAD**-2]) @ H

@@ -12,7 +12,7 @@ from companion.planning.planner import PlanRequest
 from tools.study.case import Case
 from tools.study.reactive_crossing import ReactiveCrossing
 
-places = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
+positions = st.tuples(st.floats(-300.0, 300.0), st.floats(-300.0, 300.0))
 
 
 def _target_at(position_enu_m: Point) -> TargetEstimate:
@@ -28,7 +28,7 @@ def _next(case: Case, vehicle: Point, target: Point) -> Point:
 
 
 @settings(deadline=None)
-@given(places, places, st.floats(0.1, 500.0), st.floats(0.1, 500.0))
+@given(positions, positions, st.floats(0.1, 500.0), st.floats(0.1, 500.0))
 def test_the_crossing_distance_as_printed_has_no_effect(
     vehicle: Point, target: Point, one_m: float, other_m: float
 ) -> None:
@@ -39,7 +39,7 @@ def test_the_crossing_distance_as_printed_has_no_effect(
 
 
 @settings(deadline=None)
-@given(places, places, st.floats(0.1, 50.0))
+@given(positions, positions, st.floats(0.1, 50.0))
 def test_each_step_flies_at_the_estimate_by_the_step_length(
     vehicle: Point, target: Point, step_m: float
 ) -> None:

@@ -14,6 +14,6 @@ SHORT = Case(steps=40)
 def test_what_is_timed_flies_where_the_run_went(planner: PlannerName) -> None:
     walk = Walk.of(SHORT, System("asymmetric_huber", planner))
     track = walk.track_enu_m
-    _, places = retraced(track, walk.z, walk.picks, walk.belief, walk.steering)
-    np.testing.assert_allclose(places[:-1], track[2:], atol=1e-9)
+    _, positions = retraced(track, walk.z, walk.picks, walk.belief, walk.steering)
+    np.testing.assert_allclose(positions[:-1], track[2:], atol=1e-9)
     assert np.ptp(track, axis=0).max() > SHORT.step_m

@@ -207,7 +207,7 @@ def test_only_a_place_that_is_told_with_some_certainty_is_asked_for() -> None:
     watched(vague, rows, r95_m=6.1)
     assert vague.suspected is None
     seen_s, before = float(rows[-1, 9]), sure.suspected
-    sure.look(MAP, truth(), 1e3, seen_s)  # what is suspected is watched, however vague the place
+    sure.look(MAP, truth(), 1e3, seen_s)  # a suspicion is watched, however vague the position
     assert sure.suspected is not before
 
 
@@ -215,8 +215,8 @@ def tracked(rows: Matrix, tracker: TargetTracker) -> list[float]:
     """R95 after every measurement."""
     radii = []
     for row in rows:
-        measured, place = measurement_of(row, float(row[9]))
-        tracker.fuse(measured, place, float(row[9]))
+        measured, position = measurement_of(row, float(row[9]))
+        tracker.fuse(measured, position, float(row[9]))
         estimate = tracker.estimate(float(row[9]))
         radii.append(math.inf if estimate is None else estimate.r95_m)
     return radii

@@ -22,12 +22,12 @@ def _samples(
     samples = []
     for step in range(round(10 * seconds)):
         far = math.sqrt(0.5) * speed_mps * 0.1 * step
-        place = (10.0 + far, 10.0 + far - aside_m, 20.0)
-        bearing = math.atan2(TARGET[1] - place[1], TARGET[0] - place[0])
+        position = (10.0 + far, 10.0 + far - aside_m, 20.0)
+        bearing = math.atan2(TARGET[1] - position[1], TARGET[0] - position[0])
         bearing += SIGMA_RAD * rng.normal()
         bearing += math.radians(5.0) * rng.normal() * (rng.random() < 0.9)
         wrapped_rad = math.remainder(bearing, 2.0 * math.pi)
-        samples.append(Sample(0.1 * step, wrapped_rad, place, SIGMA_RAD))
+        samples.append(Sample(0.1 * step, wrapped_rad, position, SIGMA_RAD))
     return samples
 
 

@@ -36,21 +36,21 @@ class Radio:
         return 0.1 * self.step
 
     @property
-    def place(self) -> PositionEnu:
+    def position(self) -> PositionEnu:
         return (0.5 * self.step, 0.0, 20.0)
 
     def measure(self) -> RangingMeasurement:
-        east, north = TARGET[0] - self.place[0], TARGET[1] - self.place[1]
+        east, north = TARGET[0] - self.position[0], TARGET[1] - self.position[1]
         return RangingMeasurement(
             1,
             self.now_s,
-            range_m=math.dist(self.place, TARGET) + float(self._rng.normal(0.0, 1.5)),
+            range_m=math.dist(self.position, TARGET) + float(self._rng.normal(0.0, 1.5)),
             bearing_enu_rad=math.atan2(north, east) + float(self._rng.normal(0.0, 0.05)),
         )
 
     def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, RejectReason | None]:
         """Whether range and bearing may be used, and why not both."""
-        judgement = self.screen.judge(seen, self.place, self.now_s)
+        judgement = self.screen.judge(seen, self.position, self.now_s)
         self.step += 1
         passed = judgement.passed
         if passed is None:
@@ -62,7 +62,7 @@ def test_what_is_measured_is_used_as_it_is() -> None:
     radio = Radio()
     for _ in range(100):
         seen = radio.measure()
-        assert radio.screen.judge(seen, radio.place, radio.now_s).passed is seen
+        assert radio.screen.judge(seen, radio.position, radio.now_s).passed is seen
         radio.step += 1
     assert radio.screen.objection is None
 
@@ -142,7 +142,7 @@ def test_mostly_absurd_values_speak_against_flying(
     for _ in range(30):
         radio.judged(radio.measure())
     for _ in range(12):
-        assert radio.screen.admit(seen, radio.place, radio.now_s) is reason
+        assert radio.screen.admit(seen, radio.position, radio.now_s) is reason
         radio.step += 1
     assert radio.screen.objection is objection
     for _ in range(30):

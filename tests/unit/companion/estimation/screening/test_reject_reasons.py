@@ -13,7 +13,7 @@ from companion.estimation.screen import FUTURE_TOLERANCE_S, RejectReason
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 
-PLACE: PositionEnu = (10.0, 5.0, 20.0)
+POSITION: PositionEnu = (10.0, 5.0, 20.0)
 NOW_S = 100.0
 GOOD = RangingMeasurement(
     emitter_id=7,
@@ -122,7 +122,7 @@ def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
     measurement, reason = REFUSED[name]
     tracker = _tracker()
     before = _snapshot(tracker)
-    report = tracker.fuse(measurement, PLACE, NOW_S)
+    report = tracker.fuse(measurement, POSITION, NOW_S)
     assert report.reject_reason is reason
     assert report.update is None
     assert not report.restarted
@@ -130,11 +130,11 @@ def test_what_is_refused_is_counted_and_changes_nothing(name: str) -> None:
     assert _snapshot(tracker) == before
 
 
-@pytest.mark.parametrize("place", [None, (math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
-def test_without_an_own_position_it_is_refused(place: PositionEnu | None) -> None:
+@pytest.mark.parametrize("position", [None, (math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
+def test_without_an_own_position_it_is_refused(position: PositionEnu | None) -> None:
     tracker = _tracker()
     before = _snapshot(tracker)
-    assert tracker.fuse(GOOD, place, NOW_S).reject_reason is RejectReason.NO_POSITION
+    assert tracker.fuse(GOOD, position, NOW_S).reject_reason is RejectReason.NO_POSITION
     assert tracker.rejected == {RejectReason.NO_POSITION: 1}
     assert _snapshot(tracker) == before
 
@@ -144,9 +144,9 @@ def test_what_was_refused_leaves_no_trace_in_what_follows(name: str) -> None:
     disturbed, calm = _tracker(), _tracker()
     for step in range(5):
         seen = replace(GOOD, measured_at_s=NOW_S + 0.05 * step, stamp_us=2_000 + step)
-        disturbed.fuse(REFUSED[name][0], PLACE, NOW_S)
-        disturbed.fuse(seen, PLACE, NOW_S + 0.2)
-        calm.fuse(seen, PLACE, NOW_S + 0.2)
+        disturbed.fuse(REFUSED[name][0], POSITION, NOW_S)
+        disturbed.fuse(seen, POSITION, NOW_S + 0.2)
+        calm.fuse(seen, POSITION, NOW_S + 0.2)
     assert _snapshot(disturbed) == _snapshot(calm)
 
 
@@ -190,7 +190,7 @@ def test_every_reason_is_covered_here() -> None:
 )
 def test_what_is_just_plausible_is_accepted(edge: RangingMeasurement) -> None:
     tracker = _tracker()
-    assert tracker.fuse(edge, PLACE, NOW_S).reject_reason is None
+    assert tracker.fuse(edge, POSITION, NOW_S).reject_reason is None
     assert tracker.accepted == 7
 
 
@@ -198,34 +198,34 @@ def test_without_stamps_the_time_of_measurement_tells_a_duplicate() -> None:
     tracker = _tracker()
     unstamped = replace(GOOD, stamp_us=None)
     later = replace(unstamped, measured_at_s=NOW_S + 0.01)
-    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is RejectReason.DUPLICATE
-    assert tracker.fuse(later, PLACE, NOW_S).reject_reason is None
-    assert tracker.fuse(unstamped, PLACE, NOW_S).reject_reason is RejectReason.DUPLICATE
+    assert tracker.fuse(unstamped, POSITION, NOW_S).reject_reason is None
+    assert tracker.fuse(unstamped, POSITION, NOW_S).reject_reason is RejectReason.DUPLICATE
+    assert tracker.fuse(later, POSITION, NOW_S).reject_reason is None
+    assert tracker.fuse(unstamped, POSITION, NOW_S).reject_reason is RejectReason.DUPLICATE
 
 
 def test_an_elevation_whose_bearing_lacks_a_yaw_starts_nothing() -> None:
     tracker = TargetTracker(TrackerParams())
     seen = RangingMeasurement(1, NOW_S, bearing_body_rad=0.1, elevation_rad=-0.3)
-    assert tracker.fuse(seen, PLACE, NOW_S).reject_reason is RejectReason.NO_YAW
+    assert tracker.fuse(seen, POSITION, NOW_S).reject_reason is RejectReason.NO_YAW
     assert tracker.estimate(NOW_S) is None
 
 
 def test_a_refused_measurement_does_not_choose_the_emitter() -> None:
     tracker = TargetTracker(TrackerParams())
-    tracker.fuse(replace(GOOD, emitter_id=3, range_m=math.nan), PLACE, NOW_S)
+    tracker.fuse(replace(GOOD, emitter_id=3, range_m=math.nan), POSITION, NOW_S)
     tracker.fuse(replace(GOOD, emitter_id=4), None, NOW_S)
     assert tracker.emitter_id is None
-    tracker.fuse(GOOD, PLACE, NOW_S)
+    tracker.fuse(GOOD, POSITION, NOW_S)
     assert tracker.emitter_id == 7
 
 
 def test_range_and_bearing_of_one_moment_are_no_duplicates_of_each_other() -> None:
     tracker = _tracker()
     both = replace(GOOD, bearing_enu_rad=0.5, stamp_us=77)
-    assert tracker.fuse(replace(both, bearing_enu_rad=None), PLACE, NOW_S).reject_reason is None
-    assert tracker.fuse(replace(both, range_m=None), PLACE, NOW_S).reject_reason is None
-    again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), PLACE, NOW_S)
+    assert tracker.fuse(replace(both, bearing_enu_rad=None), POSITION, NOW_S).reject_reason is None
+    assert tracker.fuse(replace(both, range_m=None), POSITION, NOW_S).reject_reason is None
+    again = tracker.fuse(replace(both, range_m=None, measured_at_s=NOW_S - 0.01), POSITION, NOW_S)
     assert again.reject_reason is RejectReason.DUPLICATE
 
 
@@ -236,7 +236,7 @@ def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int 
     mixed, alone = TargetTracker(TrackerParams(), bound), TargetTracker(TrackerParams(), bound)
     ours = 0 if bound is None else bound
     for step in range(30):
-        time_s, place = NOW_S + 0.1 * step, (2.0 * step, 0.0, 20.0)
+        time_s, position = NOW_S + 0.1 * step, (2.0 * step, 0.0, 20.0)
         seen = replace(
             GOOD,
             emitter_id=ours,
@@ -246,10 +246,12 @@ def test_one_emitter_is_bound_and_all_others_are_ignored_and_counted(bound: int 
             bearing_enu_rad=0.4 + 0.03 * math.cos(step),
         )
         for tracker in (mixed, alone):
-            assert tracker.fuse(seen, place, time_s).reject_reason is None
+            assert tracker.fuse(seen, position, time_s).reject_reason is None
         for other in {0, 7, 8, 65_535} - {ours}:
             stranger = replace(seen, emitter_id=other, range_m=5.0, bearing_enu_rad=-2.0)
-            assert mixed.fuse(stranger, place, time_s).reject_reason is RejectReason.OTHER_EMITTER
+            assert (
+                mixed.fuse(stranger, position, time_s).reject_reason is RejectReason.OTHER_EMITTER
+            )
     assert mixed.emitter_id == ours
     assert mixed.rejected == {RejectReason.OTHER_EMITTER: 90}
     assert _snapshot(mixed) == _snapshot(alone)
@@ -260,7 +262,7 @@ def test_an_id_that_changes_in_flight_is_a_dropout() -> None:
     for step in range(40):
         seen = replace(GOOD, emitter_id=9, measured_at_s=NOW_S + 0.1 * step, stamp_us=2_000 + step)
         assert (
-            tracker.fuse(seen, PLACE, NOW_S + 0.1 * step).reject_reason
+            tracker.fuse(seen, POSITION, NOW_S + 0.1 * step).reject_reason
             is RejectReason.OTHER_EMITTER
         )
     assert tracker.emitter_id == 7

@@ -42,7 +42,7 @@ CELL = Radio(11.3, 0.7, 15.0, 15.0)
 NOISELESS = Radio(0.0, 0.0, 0.0, 0.0)
 
 
-def _place(track: Track, time_s: float, height_m: float) -> PositionEnu:
+def _position(track: Track, time_s: float, height_m: float) -> PositionEnu:
     far = SPEED_MPS * time_s
     if track == "orbit":
         turned = far / 25.0
@@ -59,10 +59,10 @@ def _samples(
     samples = []
     for step in range(round(seconds * RATE_HZ)):
         time_s = step / RATE_HZ
-        place = _place(track, time_s, height_m)
-        range_m = math.dist(place, TARGET) + radio.offset_m + radio.sigma_m * rng.normal()
+        position = _position(track, time_s, height_m)
+        range_m = math.dist(position, TARGET) + radio.offset_m + radio.sigma_m * rng.normal()
         range_m += radio.bias_m * rng.exponential() * (rng.random() < radio.p_nlos)
-        samples.append(Sample(time_s, max(float(range_m), 0.01), place))
+        samples.append(Sample(time_s, max(float(range_m), 0.01), position))
     return samples
 
 
@@ -177,8 +177,8 @@ def test_ranges_that_scatter_like_no_radio_in_another_unit_are_in_metres() -> No
     history = _history()
     check = history.check
     assert isinstance(check, UnitCheck)
-    places = np.array([(0.3 * i, 0.0, 20.0) for i in range(30)])
-    window = _Window(30.0 + 3.0 * rng.normal(size=30), places)
+    positions = np.array([(0.3 * i, 0.0, 20.0) for i in range(30)])
+    window = _Window(30.0 + 3.0 * rng.normal(size=30), positions)
     assert check._likeliest(window, FACTORS, DECISION_LOG_ODDS)[1] == -math.inf
 
 

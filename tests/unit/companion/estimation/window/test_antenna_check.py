@@ -28,21 +28,21 @@ PARAMS = FilterParams()
 
 
 def legs(far_m: float = 45.0, near_m: float = -45.0, count: int = 120) -> Matrix:
-    """Places of two crossing legs, (2 count, 3), from `far_m` to `near_m` about the emitter."""
+    """Return positions of crossing legs, (2 count, 3), from `far_m` to `near_m` of the emitter."""
     along = np.linspace(far_m, near_m, count)
     east = np.concatenate([TARGET[0] + along, np.full(count, TARGET[0] + 2.0)])
     north = np.concatenate([np.full(count, TARGET[1] + 2.0), TARGET[1] + along])
     return np.stack([east, north, np.full(2 * count, HEIGHT_M)], axis=1)
 
 
-def printed(kind: AntennaKind, places: Matrix, rng: np.random.Generator) -> Matrix:
+def printed(kind: AntennaKind, positions: Matrix, rng: np.random.Generator) -> Matrix:
     """Rows of a planar array, (n, 16), whose angles an antenna of that kind has printed.
 
     The nose points at the emitter, up to 40 degrees off, and the vehicle leans by some degrees.
     """
-    rows = np.full((len(places), ARRAY_COLUMNS), np.nan)
-    for row, place in zip(rows, places, strict=True):
-        to = TARGET[:3] * (1.0, 1.0, 0.0) - place
+    rows = np.full((len(positions), ARRAY_COLUMNS), np.nan)
+    for row, position in zip(rows, positions, strict=True):
+        to = TARGET[:3] * (1.0, 1.0, 0.0) - position
         slant = float(np.linalg.norm(to))
         yaw = math.atan2(to[1], to[0]) + rng.uniform(-0.7, 0.7)
         ahead = np.array([math.cos(yaw), math.sin(yaw), 0.05 * rng.normal()])
@@ -56,7 +56,7 @@ def printed(kind: AntennaKind, places: Matrix, rng: np.random.Generator) -> Matr
             angle = math.atan2(y + SIGMA_RAD * rng.normal(), x + SIGMA_RAD * rng.normal())
         else:
             angle = math.asin(min(1.0, max(-1.0, y + SIGMA_RAD * rng.normal())))
-        row[:3] = place
+        row[:3] = position
         row[3] = slant + 1.5 * rng.normal()
         row[4] = math.remainder(angle, math.tau)
         row[6:9] = 1.5, SIGMA_RAD, math.radians(5.0)
@@ -64,9 +64,9 @@ def printed(kind: AntennaKind, places: Matrix, rng: np.random.Generator) -> Matr
     return rows
 
 
-def looked(kind: AntennaKind, seed: int, places: Matrix) -> AntennaCheck:
+def looked(kind: AntennaKind, seed: int, positions: Matrix) -> AntennaCheck:
     check = AntennaCheck(with_antenna(PARAMS, "planar"))
-    rows = printed(kind, places, np.random.default_rng(seed))
+    rows = printed(kind, positions, np.random.default_rng(seed))
     start: Array = TARGET + np.array([1.0, -1.0, 0.0, 0.0])
     check.look(rows, start, NO_INFLATION)
     return check
@@ -104,13 +104,13 @@ def test_reflections_do_not_make_an_azimuth_of_a_planar_array() -> None:
 def around_an_edge(seed: int, edge_m: float, shadow_m: tuple[float, float]) -> Matrix:
     """Rows of an azimuth, reflected at an edge west of the emitter where that is so far off."""
     rng = np.random.default_rng(seed)
-    places = legs(far_m=40.0, near_m=-40.0)
-    rows = printed("azimuth", places, rng)
+    positions = legs(far_m=40.0, near_m=-40.0)
+    rows = printed("azimuth", positions, rng)
     edge = TARGET[:2] + np.array([-edge_m, 0.0])
-    to_target_m = np.hypot(*(places[:, :2] - TARGET[:2]).T)
+    to_target_m = np.hypot(*(positions[:, :2] - TARGET[:2]).T)
     nearest_m, farthest_m = shadow_m
     for i in np.flatnonzero((to_target_m > nearest_m) & (to_target_m < farthest_m)):
-        to = edge - places[i, :2]
+        to = edge - positions[i, :2]
         yaw = math.atan2(rows[i, 11], rows[i, 10])
         off = math.atan2(to[1], to[0]) + SIGMA_RAD * rng.normal()
         rows[i, 4] = math.remainder(yaw - off, math.tau)

@@ -37,7 +37,7 @@ class Problem:
     """The kernels' arguments for a walk, and its objective as a function of the state alone.
 
     Args:
-        p: The filter's params; the vehicle knows its place, so that sigmas do not move.
+        p: The filter's params; the vehicle knows its position, so that sigmas do not move.
         rows: (n, 10).
     """
 

@@ -16,8 +16,8 @@ SIGMA = (1.0, 0.1, 0.2)
 ORIGIN = (0.0, 0.0)
 
 
-def _add(window: MeasurementWindow, place: PositionEnu, range_m: float) -> Matrix:
-    return window.add(np.array([*place, range_m, math.nan, math.nan, *SIGMA, 0.0]), ORIGIN)
+def _add(window: MeasurementWindow, position: PositionEnu, range_m: float) -> Matrix:
+    return window.add(np.array([*position, range_m, math.nan, math.nan, *SIGMA, 0.0]), ORIGIN)
 
 
 def _around(window: MeasurementWindow, count: int, radius_m: float = 5.0) -> None:
@@ -59,8 +59,8 @@ def test_all_that_was_measured_is_held_or_was_given_up() -> None:
     window, given_up = MeasurementWindow(64), []
     rng = np.random.default_rng(2)
     for index in range(1000):
-        place = (*rng.uniform(-50.0, 50.0, 2), 10.0)
-        given_up += _add(window, place, 1.0 + index)[:, SEQUENCE].tolist()
+        position = (*rng.uniform(-50.0, 50.0, 2), 10.0)
+        given_up += _add(window, position, 1.0 + index)[:, SEQUENCE].tolist()
     everything = sorted([*given_up, *window.rows[:, SEQUENCE]])
     assert everything == list(range(1000))
     np.testing.assert_array_equal(window.rows[:, 3], 1.0 + window.rows[:, SEQUENCE])

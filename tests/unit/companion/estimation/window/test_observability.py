@@ -22,9 +22,9 @@ PLANE = params(range_k_long=1.5)
 
 
 def _row(
-    place: tuple[float, float], range_m: float = math.nan, bearing_rad: float = math.nan
+    position: tuple[float, float], range_m: float = math.nan, bearing_rad: float = math.nan
 ) -> list[float]:
-    return [*place, 0.0, range_m, bearing_rad, math.nan, 2.0, 0.1, 0.1, 0.0]
+    return [*position, 0.0, range_m, bearing_rad, math.nan, 2.0, 0.1, 0.1, 0.0]
 
 
 def _observed(rows: list[list[float]], p: FilterParams = PLANE) -> tuple[Matrix, float, float]:
@@ -144,11 +144,11 @@ def test_a_walk_along_a_line_is_told(straight: bool, is_collinear: bool) -> None
 
 @pytest.mark.parametrize("direction_rad", [0.0, 0.4, 2.5])
 def test_a_mirror_image_is_as_far_from_every_place_on_the_line(direction_rad: float) -> None:
-    places, mean = _track(direction_rad), np.array([20.0, 15.0, 1.0, 0.1, 0.02])
-    image = mirrored(mean, places)
-    for point in places:
+    positions, mean = _track(direction_rad), np.array([20.0, 15.0, 1.0, 0.1, 0.02])
+    image = mirrored(mean, positions)
+    for point in positions:
         assert math.dist(image[:2], point) == pytest.approx(math.dist(mean[:2], point))
     assert math.dist(image[:2], mean[:2]) > 1.0
     assert image[2:].tolist() == mean[2:].tolist()
-    back: Vector = mirrored(image, places)
+    back: Vector = mirrored(image, positions)
     np.testing.assert_allclose(back, mean, atol=1e-9)

@@ -190,8 +190,8 @@ def test_fresh_starts_turn_around_the_path_until_every_optimum_is_found() -> Non
 def _tracked(rows: Matrix, tracker_params: TrackerParams) -> TargetTracker:
     tracker = TargetTracker(tracker_params)
     for index, row in enumerate(rows):
-        seen, place = measurement_of(row, 0.1 * index)
-        assert tracker.fuse(seen, place, 0.1 * index).reject_reason is None
+        seen, position = measurement_of(row, 0.1 * index)
+        assert tracker.fuse(seen, position, 0.1 * index).reject_reason is None
     return tracker
 
 
@@ -234,7 +234,7 @@ def test_what_no_longer_fits_still_counts_where_it_is_news() -> None:
 
 
 def test_what_was_expanded_about_a_wrong_place_is_forgotten() -> None:
-    """The filter was sure of the wrong place while the window overflowed; the window was not."""
+    """The filter was sure of the wrong position while the window overflowed, unlike the window."""
     rows = walk(np.random.default_rng(6), 400)
     wrong = (_hypothesis(70.0, 60.0),)
     misled, distrusted = (_fed(rows, wrong, size=128) for _ in range(2))
@@ -271,7 +271,7 @@ def test_a_window_that_names_no_place_by_itself_contradicts_nothing() -> None:
     assert not optimizer.window.has_bearings
     (only,) = _optimized(optimizer, at)
     assert only.position_enu_m == pytest.approx(TARGET, abs=2.5)
-    assert only.least_covariance_m2 is None  # a place was found
+    assert only.least_covariance_m2 is None  # a position was found
     assert 0.5 < _sigma_m(only) < 10.0
 
 

@@ -78,9 +78,9 @@ def test_inflation_keeps_a_rival_alive_that_white_noise_would_rule_out() -> None
 
 
 def test_a_wrong_place_does_not_excuse_itself_by_its_own_systematic_residuals() -> None:
-    place = _optimum(0.0, 1880.0, inflation=4.0)
+    near = _optimum(0.0, 1880.0, inflation=4.0)
     far = _optimum(80.0, 2160.0, sigma_m=28.0, inflation=45.0)
-    assert [o for _, o in weigh_optima([far, place])] == [place]
+    assert [o for _, o in weigh_optima([far, near])] == [near]
 
 
 def test_what_a_few_noises_made_may_be_chance() -> None:
@@ -94,7 +94,7 @@ def test_what_a_few_noises_made_may_be_chance() -> None:
 
 
 def test_what_all_measurements_agree_on_is_no_chance() -> None:
-    """Better at every one of a hundred places, by a little, with influences that are small."""
+    """Better at every one of a hundred positions, by a little, with influences that are small."""
     psi = 0.1 * np.random.default_rng(1).normal(size=(3, N))
     best, rival = _optimum(0.0, 100.0, psi=psi), _optimum(9.0, 160.0, psi=psi + 0.3)
     assert log_ratio(rival, best) < IMPROBABLE_LOG_RATIO
@@ -141,9 +141,9 @@ def test_under_reflections_it_is_decided_later() -> None:
     assert logs[0] < 2.0 * logs[1] < 0.0
 
 
-def _field_along(places: Matrix, psi: Vector) -> SpatialNoise:
+def _field_along(positions: Matrix, psi: Vector) -> SpatialNoise:
     partials, prior = np.zeros((len(psi), 1)), np.eye(1)
-    return fit_spatial_noise(places, psi, partials, 1.0, prior, SpatialPrior(0.6, 2.0))
+    return fit_spatial_noise(positions, psi, partials, 1.0, prior, SpatialPrior(0.6, 2.0))
 
 
 def test_the_odds_are_those_of_a_likelihood_where_errors_are_independent() -> None:
@@ -161,13 +161,13 @@ def test_few_independent_places_leave_more_doubt_than_many() -> None:
 
 
 def test_the_odds_of_a_contrast_hold_when_errors_repeat() -> None:
-    """A place that differs by a wave along the path is wrong as often as the odds say.
+    """A position that differs by a wave along the path is wrong as often as the odds say.
 
     Errors have the prior's strength and length: where a constant error would be worth one
     measurement, a wave is worth more.
     """
     rng, way_m = np.random.default_rng(5), np.arange(0.0, 40.0, 0.25)
-    places = np.stack([way_m, np.zeros_like(way_m)], axis=1)
+    positions = np.stack([way_m, np.zeros_like(way_m)], axis=1)
     apart_m = np.abs(way_m[:, None] - way_m)
     half = np.linalg.cholesky(0.36 * np.exp(-apart_m / 2.0) + 0.04 * np.eye(len(way_m)))
     wave = 0.5 * np.sin(way_m / 2.5)
@@ -177,7 +177,7 @@ def test_the_odds_of_a_contrast_hold_when_errors_repeat() -> None:
         psi[RANGE] = half @ rng.normal(size=len(way_m))
         pair = psi, psi + np.stack([wave, 0.0 * wave, 0.0 * wave])
         first, second = sorted(pair, key=lambda each: float(np.sum(each**2)))
-        field = _field_along(places, first[RANGE])
+        field = _field_along(positions, first[RANGE])
         gap = 0.5 * float(np.sum(second**2) - np.sum(first**2)) / field.repetition
         fields = (field, None, None)
         log = contrast_of(_scores(second), _scores(first), fields, 0.0).log_ratio(gap)
@@ -190,13 +190,13 @@ def test_the_odds_of_a_contrast_hold_when_errors_repeat() -> None:
 
 def test_a_path_that_bends_within_its_own_error_decides_nothing() -> None:
     way_m = np.arange(0.0, 40.0, 0.25)
-    places = np.stack([way_m, np.zeros_like(way_m)], axis=1)
+    positions = np.stack([way_m, np.zeros_like(way_m)], axis=1)
     psi = np.zeros((3, len(way_m)))
     psi[RANGE] = 0.3 * np.sin(way_m / 3.0)
     rival = psi + 0.2 * np.stack([np.cos(way_m / 5.0)] * 3)
     left, right = np.zeros((len(way_m), 4)), np.zeros((len(way_m), 4))
     left[:, 1], right[:, 1] = 2.0, -2.0  # north of the path, and south of it
-    fields = (_field_along(places, psi[RANGE]), None, None)
+    fields = (_field_along(positions, psi[RANGE]), None, None)
     contrasts = [
         contrast_of(_scores(rival, right), _scores(psi, left), fields, own_m)
         for own_m in (0.0, 0.2, 1.0)

@@ -1,4 +1,4 @@
-"""What errors that all measurements of a window share make of the place that it names."""
+"""The effect on the position of errors that all measurements of a window share."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ HEIGHT_M = 20.0
 def _passes(courses: tuple[float, ...], count: int = 60) -> tuple[Matrix, Vector]:
     """Rows of ranges and azimuths without noise, along straight passes of 50 m over the target."""
     along = np.linspace(-25.0, 25.0, count)
-    places = np.concatenate(
+    positions = np.concatenate(
         [np.array(TARGET) + along[:, None] * (math.cos(c), math.sin(c)) for c in courses]
     )
-    n = len(places)
+    n = len(positions)
     rows = np.full((n, COLUMNS), np.nan)
-    rows[:, :2], rows[:, 2] = places, HEIGHT_M
-    east, north = (np.array(TARGET) - places).T
+    rows[:, :2], rows[:, 2] = positions, HEIGHT_M
+    east, north = (np.array(TARGET) - positions).T
     rows[:, 3] = np.sqrt(east**2 + north**2 + HEIGHT_M**2)
     rows[:, 4] = np.arctan2(north, east)
     rows[:, 6:9] = 0.5, 0.1, 0.1
@@ -79,7 +79,7 @@ def test_an_own_place_that_has_long_forgotten_counts_its_whole_error() -> None:
 
 def test_a_height_that_is_wrong_moves_the_place_by_what_is_counted() -> None:
     rows, times_s = _passes((0.3,))
-    rows[:, :2] += 12.0  # aside of it, where a range tells height as place
+    rows[:, :2] += 12.0  # aside of it, where a range depends on height as on position
     east, north = (np.array(TARGET) - rows[:, :2]).T
     rows[:, 3] = np.sqrt(east**2 + north**2 + HEIGHT_M**2)
     rows[:, 4] = np.nan
@@ -111,7 +111,7 @@ def test_a_fix_that_was_another_one_counts_its_whole_error_however_short_the_sea
 
 
 def _drawn(seed: int, height_m: float, sigma_m: float) -> tuple[float, float]:
-    """Squared error of the place, and what is counted, of ranges that pass on one side of it."""
+    """Return squared error and stated variance of the position, by ranges on one side of it."""
     rng = np.random.default_rng(seed)
     rows, times_s = _passes((0.3, 1.7))
     rows[:, :2] += (8.0, 5.0)
@@ -151,8 +151,8 @@ def test_no_direction_is_wider_than_where_the_radio_was_heard_says(variance_m2: 
     axis = np.array([math.cos(turn), math.sin(turn)])
     across = np.array([-axis[1], axis[0]])
     wide = variance_m2 * np.outer(axis, axis) + 0.25 * np.outer(across, across)
-    place = (30.0 * axis[0], 30.0 * axis[1])
-    narrower = errors.within_reach(wide, place)
+    position = (30.0 * axis[0], 30.0 * axis[1])
+    narrower = errors.within_reach(wide, position)
     assert axis @ narrower @ axis <= min(variance_m2, 1300.0) * (1.0 + 1e-6)  # 20^2 + 30^2
     assert np.linalg.eigvalsh(narrower)[0] > 0.2
     if variance_m2 < 1e10:
@@ -167,10 +167,10 @@ def test_ranges_along_a_line_state_no_radius_beyond_what_a_place_may_be() -> Non
     rng, target = np.random.default_rng(1), (-12.0, 31.0, 0.0)
     radii_m = []
     for step in range(60):
-        place = (0.05 * step, 0.0, 20.0)
-        range_m = math.dist(place, target) + rng.normal(0.0, 0.15)
+        position = (0.05 * step, 0.0, 20.0)
+        range_m = math.dist(position, target) + rng.normal(0.0, 0.15)
         now_s = 0.1 * step
-        tracker.fuse(RangingMeasurement(1, now_s, range_m), place, now_s, PositionAccuracy())
+        tracker.fuse(RangingMeasurement(1, now_s, range_m), position, now_s, PositionAccuracy())
         estimate = tracker.estimate(now_s)
         radii_m += [] if estimate is None else [estimate.absolute_r95_m]
     assert len(radii_m) == 60

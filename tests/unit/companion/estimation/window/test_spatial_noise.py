@@ -1,4 +1,4 @@
-"""Errors that stay with the place: how many votes measurements are worth, and what is promised."""
+"""Spatially correlated errors: how many votes measurements are worth, and the stated R95."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from companion.estimation.window.spatial_noise import (
 from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import START, params, walk
-from tests.unit.companion.estimation.window.placed_walks import PlacedCase, walks_of
+from tests.unit.companion.estimation.window.correlated_walks import CorrelatedCase, walks_of
 from tools.study.walks.walk_figures import CONFIGS, TargetClaims, replayed
 
 WIFI = load_config(CONFIGS / "wifi_rtt.yaml").tracking
@@ -28,14 +28,14 @@ OFFSET_ALONE, NO_PRIOR = np.ones((COUNT, 1)), np.zeros((1, 1))
 
 
 def field(rng: np.random.Generator, length_m: float) -> Vector:
-    """A unit field at the places of `LINE`, (n,)."""
+    """Return a unit field at the positions of `LINE`, (n,)."""
     apart = np.abs(LINE[:, :1] - LINE[:, 0])
     covariance = np.exp(-apart / length_m) + 1e-9 * np.eye(COUNT)
     return np.asarray(np.linalg.cholesky(covariance) @ rng.normal(size=COUNT))
 
 
-def repetition(psi: Vector, belief: SpatialPrior, places: Matrix = LINE) -> float:
-    return fit_spatial_noise(places, psi, OFFSET_ALONE, 1.0, NO_PRIOR, belief).repetition
+def repetition(psi: Vector, belief: SpatialPrior, positions: Matrix = LINE) -> float:
+    return fit_spatial_noise(positions, psi, OFFSET_ALONE, 1.0, NO_PRIOR, belief).repetition
 
 
 def test_white_errors_are_a_vote_each() -> None:
@@ -59,7 +59,7 @@ def test_votes_are_those_of_the_field_that_was_drawn(length_m: float) -> None:
 def test_a_field_is_clipped_as_the_loss_clips_it(
     deviation: float, k_long: float, k_short: float
 ) -> None:
-    """Two measurements of one place have the field in common, and each its own noise."""
+    """Two measurements at one position have the field in common, and each its own noise."""
     rng = np.random.default_rng(3)
     residuals = deviation * rng.normal(size=200_000) + rng.normal(size=(2, 200_000))
     one, other = clipped(residuals, np.array([[k_long, k_short]] * 2))
@@ -86,12 +86,13 @@ def test_who_hovers_gets_nowhere() -> None:
 
 
 def test_votes_decide_between_the_data_and_what_is_known_of_the_offset() -> None:
-    """Ranges from a few places do not outvote the prior of the offset, however many they are."""
+    """Ranges from a few positions do not outvote the prior of the offset, however many they are."""
     rows = walk(np.random.default_rng(3), 400, bearings=False)
     told = params(range_offset_m=1.0, range_offset_sigma_m=0.3)
-    placed = params(range_offset_m=1.0, range_offset_sigma_m=0.3, place_range_sigma_m=1.0)
+    correlated = params(range_offset_m=1.0, range_offset_sigma_m=0.3, place_range_sigma_m=1.0)
     alone_m, voted_m = (
-        float(WindowMap(believed).optima(rows, [START])[0].mean[2]) for believed in (told, placed)
+        float(WindowMap(believed).optima(rows, [START])[0].mean[2])
+        for believed in (told, correlated)
     )
     assert alone_m > 1.8
     assert voted_m < alone_m - 0.1
@@ -141,7 +142,7 @@ def test_bearings_are_fused_where_only_ranges_are_known_to_keep_errors_in_places
 
 def claims(path: str, length_m: float, seeds: range) -> list[TargetClaims]:
     """What is claimed on invented walks."""
-    case = PlacedCase(path, length_m)  # type: ignore[arg-type]
+    case = CorrelatedCase(path, length_m)  # type: ignore[arg-type]
     return [replayed(path, rows, WIFI) for rows in walks_of(case, seeds)]
 
 

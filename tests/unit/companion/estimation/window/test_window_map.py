@@ -95,7 +95,7 @@ def test_offset_stays_inside_its_bounds() -> None:
 
 
 def test_where_the_offset_is_at_its_bound_the_place_is_still_the_best_there_is() -> None:
-    """The place for an offset that is one metre, found with that offset known."""
+    """Return the position for an offset of one metre, solved with that offset known."""
     rows = walk(np.random.default_rng(3))
     bounded = params(range_offset_min_m=0.0, range_offset_max_m=1.0)
     shorter = np.array(rows)
@@ -145,10 +145,10 @@ def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
     optima = solver.optima(rows, [*starts, *starts])
     costs = [optimum.cost for optimum in optima]
     assert costs == sorted(costs)
-    places = [optimum.mean[:2] for optimum in optima]
-    for index, place in enumerate(places):
-        assert all(math.dist(place, other) > SAME_OPTIMUM_M for other in places[:index])
-    assert places[0] == pytest.approx(TARGET, abs=2.0)
+    positions = [optimum.mean[:2] for optimum in optima]
+    for index, position in enumerate(positions):
+        assert all(math.dist(position, other) > SAME_OPTIMUM_M for other in positions[:index])
+    assert positions[0] == pytest.approx(TARGET, abs=2.0)
 
 
 def test_fresh_starts_are_as_far_as_the_ranges_say() -> None:
@@ -277,7 +277,7 @@ def towards(
     """Straight towards a target that is 12 m off: bearings on one line, noise worse than thermal.
 
     Returns:
-        (n, 10) rows, and the last place of the vehicle.
+        (n, 10) rows, and the last position of the vehicle.
     """
     rows = np.full((count, 10), np.nan)
     along = np.concatenate([np.full(count // 2, 0.0), np.linspace(0.0, 2.5, count - count // 2)])
@@ -316,7 +316,7 @@ def test_the_own_position_excuses_less_where_bearings_are_worse_than_thermal() -
 
 
 def test_well_known_places_keep_their_covariance() -> None:
-    """Near views count in full where the place is known much better than they are near."""
+    """Near views count in full where the position is known much better than they are near."""
     rows = walk(np.random.default_rng(3), 400)
     solver = WindowMap(params())
     best = solver.optima(rows, [START], is_white=True)[0]

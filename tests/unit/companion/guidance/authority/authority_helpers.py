@@ -28,7 +28,7 @@ def acts(flight: ScriptedFlight, since_s: float = -math.inf) -> int:
 
 
 def numbered(flight: ScriptedFlight, mode: FlightMode, order: int) -> None:
-    """An armed heartbeat with its place in the sender's order."""
+    """Give an armed heartbeat with its number in the sender's order."""
     flight.give(
         HeartbeatReceived(
             flight.now_s, flight.autopilot, mode, True, True, is_failsafe=False, order=order

@@ -276,7 +276,7 @@ def launching(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
     assert flight.sent(TakeOff)
     flight.answer(RequestKind.TAKE_OFF)
     flight.mode = FlightMode.TAKEOFF if autopilot is Autopilot.PX4 else FlightMode.OFFBOARD
-    flight.place = (0.0, 0.0, 8.0)
+    flight.position_enu_m = (0.0, 0.0, 8.0)
     flight.fly(2.0)
     assert flight.is_in(Phase.LAUNCHING)
     return flight
@@ -284,7 +284,7 @@ def launching(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
 
 def test_the_session_launches_px4_and_engages() -> None:
     flight = launching()
-    flight.place = (0.0, 0.0, 20.0)
+    flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.mode = FlightMode.HOLD
     since_s = flight.now_s
     flight.fly(1.5)
@@ -300,7 +300,7 @@ def test_a_launch_without_control_in_offboard_stays_at_one_place(
 ) -> None:
     """A fence has changed meanwhile; a setpoint that followed the drift would lead it on."""
     flight = launching()
-    flight.place = (0.0, 0.0, 20.0)
+    flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.mode = FlightMode.HOLD
     flight.fly(1.5)
     flight.answer(RequestKind.SET_MODE)
@@ -309,10 +309,10 @@ def test_a_launch_without_control_in_offboard_stays_at_one_place(
     assert flight.is_in(Phase.LAUNCHING)
     begun, began_s = flight.setpoints[-1], flight.now_s
     for step in range(4):
-        flight.place = (0.2 * step, 0.0, 20.0)
+        flight.position_enu_m = (0.2 * step, 0.0, 20.0)
         flight.fly(1.0)
     sent = [c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, began_s)]
-    assert {place[:2] for place in sent} == {begun[:2]}
+    assert {position[:2] for position in sent} == {begun[:2]}
     flight.fly(1.5)
     assert flight.is_in(Phase.YIELD)
     failure = "offboard was entered, but control waits for its inputs"
@@ -322,7 +322,7 @@ def test_a_launch_without_control_in_offboard_stays_at_one_place(
 def test_the_session_launches_ardupilot_and_engages_after_the_climb() -> None:
     flight = launching(Autopilot.ARDUPILOT)
     assert flight.setpoints == []
-    flight.place = (0.0, 0.0, 20.0)
+    flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.report_landed(LandedState.IN_AIR)
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
@@ -341,7 +341,7 @@ def test_a_pilot_who_takes_over_during_the_launch_keeps_the_vehicle(
     flight.show(mode)
     assert flight.is_in(Phase.YIELD)
     assert flight.has_withdrawn
-    flight.place = (0.0, 0.0, 20.0)
+    flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.fly(30.0)
     assert flight.sent(SendSetpoint, taken_s) == []
     assert len(flight.asked_modes()) == asked

@@ -296,10 +296,10 @@ def flown(policy: FencePolicy, *first: tuple[Point, ...]) -> Fencing:
     return fencing
 
 
-def allowed(fencing: Fencing, *places: Point) -> list[bool]:
+def allowed(fencing: Fencing, *positions: Point) -> list[bool]:
     fence = fencing.guard.limits.fence
     assert fence is not None
-    return [fence.allows(place) for place in places]
+    return [fence.allows(position) for position in positions]
 
 
 class TestAFenceThatChanges:
@@ -374,12 +374,12 @@ class TestAFenceThatChanges:
         fencing = flown(FencePolicy.USE, SQUARE)
         fencing.set_home((0.0, 0.0))
         fencing.take_limits(FenceLimits(radius_m=40.0))
-        places = (-30.0, 0.0), (20.0, 0.0), (50.0, 0.0)
-        assert allowed(fencing, *places) == [True, True, False]
+        positions = (-30.0, 0.0), (20.0, 0.0), (50.0, 0.0)
+        assert allowed(fencing, *positions) == [True, True, False]
         fencing.set_home((25.0, 0.0))
-        assert allowed(fencing, *places) == [False, True, False]
+        assert allowed(fencing, *positions) == [False, True, False]
         fencing.follow(is_airborne=False, is_in_control=False)
-        assert allowed(fencing, *places) == [False, True, True]
+        assert allowed(fencing, *positions) == [False, True, True]
 
     @pytest.mark.parametrize("moved_m", [0.0, 25.0])
     def test_the_circle_of_a_flight_outlives_a_restart_of_ours(self, moved_m: float) -> None:

@@ -47,9 +47,9 @@ def test_with_a_search_it_flies_it_before_anything_is_heard() -> None:
     assert flight.is_in(Phase.NORMAL)
     assert "no contact yet: flying the search pattern" in flight.texts
     assert flight.session.status(flight.now_s).detail.startswith("search: to lawnmower, leg 1")
-    before = flight.place
+    before = flight.position_enu_m
     flight.fly(10.0)
-    assert math.dist(before, flight.place) == pytest.approx(50.0, abs=1.0)
+    assert math.dist(before, flight.position_enu_m) == pytest.approx(50.0, abs=1.0)
 
 
 def test_five_measurements_end_the_search() -> None:
@@ -189,8 +189,8 @@ def test_a_lower_pass_is_told_when_it_begins_and_when_it_is_over() -> None:
 
         def plan(self, request: PlanRequest, _memory: None) -> Plan[None]:
             offsets = (-self.descent_m, self.descent_m)
-            place, reason = request.vehicle_enu_m, WaypointReason.CROSSING
-            return Plan(Waypoint(place, reason, "", *offsets), None)
+            position, reason = request.vehicle_enu_m, WaypointReason.CROSSING
+            return Plan(Waypoint(position, reason, "", *offsets), None)
 
     planner = Scripted()
     flight.session.flight_plan.use(planner, 20.0)

@@ -1,4 +1,4 @@
-"""How well the own place is known: what is told, and what is counted where nobody tells it."""
+"""Accuracy of the own position: as it is reported, and as it is assumed without a report."""
 
 from __future__ import annotations
 

@@ -54,12 +54,12 @@ class Line:
                 self._path_m += SPEED_MPS * TICK_S
             if not self.is_sending:
                 continue
-            place = self._place()
-            self.watch.note_setpoint(place, self.now_s)
+            position = self._position()
+            self.watch.note_setpoint(position, self.now_s)
             if self.is_uplink_up and self._rng.random() >= self._loss:
-                self._up.append((self.now_s + self._latency_s, place))
+                self._up.append((self.now_s + self._latency_s, position))
 
-    def _place(self) -> PositionEnu:
+    def _position(self) -> PositionEnu:
         """A zigzag, as planners fly."""
         leg, along = divmod(self._path_m, 40.0)
         return (along if leg % 2 == 0 else 40.0 - along, 3.0 * leg, 20.0)
@@ -146,7 +146,7 @@ def test_echoes_just_beside_our_way_now_and_then_are_no_source() -> None:
     line = Line()
     for _ in range(40):
         line.run(2.5)
-        beside = (line._place()[0], line._place()[1], 20.0 + 1.1 * TOLERANCE_M)
+        beside = (line._position()[0], line._position()[1], 20.0 + 1.1 * TOLERANCE_M)
         line.watch.handle(SetpointEchoed(line.now_s, beside))
     assert line.findings == []
 
@@ -232,7 +232,7 @@ def test_a_frame_that_moved_begins_anew() -> None:
 
 
 def test_what_the_autopilot_follows_while_we_pause_is_no_second_source() -> None:
-    """ArduPilot in GUIDED without setpoints echoes the place where it stopped."""
+    """ArduPilot in GUIDED without setpoints echoes the position where it stopped."""
     line = Line()
     line.run(10.0)
     line.is_sending = False

@@ -28,7 +28,7 @@ from tests.unit.companion.guidance.scripted import ScriptedFlight
 def any_event(rng: random.Random, flight: ScriptedFlight) -> Event:
     """Good or bad news about anything that a watch watches."""
     now_s, is_bad = flight.now_s, rng.random() < 0.5
-    jumped = (flight.place[0] + 30.0 * is_bad, *flight.place[1:])
+    jumped = (flight.position_enu_m[0] + 30.0 * is_bad, *flight.position_enu_m[1:])
     heartbeat = (flight.autopilot, flight.mode, flight.is_armed, flight.is_ready)
     news: tuple[Event, ...] = (
         BatteryReported(now_s, 3.0 if is_bad else 90.0, BatteryLevel.UNKNOWN),

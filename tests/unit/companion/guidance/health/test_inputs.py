@@ -176,12 +176,12 @@ def test_after_a_silence_the_first_setpoint_is_where_the_vehicle_is() -> None:
     flight.in_control()
     flight.has_link = flight.has_ranging = False
     flight.fly(20.0)
-    flight.place = (3.0, -2.0, 22.0)
+    flight.position_enu_m = (3.0, -2.0, 22.0)
     flight.has_link = flight.has_ranging = True
     since_s = flight.now_s
     flight.fly(1.5)
     first = flight.sent(SendSetpoint, since_s)[0]
-    assert first.setpoint.position_enu_m == flight.place
+    assert first.setpoint.position_enu_m == flight.position_enu_m
 
 
 def test_reasons_are_counted() -> None:

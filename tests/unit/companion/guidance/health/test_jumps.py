@@ -25,8 +25,10 @@ from tests.unit.companion.guard.gate_helpers import HOME, LIMITS
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
-def state(time_s: float, place: PositionEnu, speed: PositionEnu = (0.0, 0.0, 0.0)) -> VehicleState:
-    return VehicleState(time_s, place, speed)
+def state(
+    time_s: float, position: PositionEnu, speed: PositionEnu = (0.0, 0.0, 0.0)
+) -> VehicleState:
+    return VehicleState(time_s, position, speed)
 
 
 @pytest.mark.parametrize("step_m", [0.7, 1.0, 7.0, 50.0])
@@ -42,14 +44,14 @@ def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_told(
     seed: int, gap_s: float, noise_m: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    dt_s, place, speed = gap_s / 20.0, np.zeros(3), rng.uniform(-15.0, 15.0, 3)
+    dt_s, position, speed = gap_s / 20.0, np.zeros(3), rng.uniform(-15.0, 15.0, 3)
     last = state(0.0, (0.0, 0.0, 0.0), (float(speed[0]), float(speed[1]), float(speed[2])))
     for step in range(1, 101):
         push = rng.normal(size=3)
         push *= MAX_ACCELERATION_MPS2 * rng.random() / np.linalg.norm(push)
-        place, speed = place + dt_s * (speed + 0.5 * dt_s * push), speed + dt_s * push
+        position, speed = position + dt_s * (speed + 0.5 * dt_s * push), speed + dt_s * push
         if step % 20 == 0:
-            told = place + np.clip(noise_m * rng.normal(size=3), -0.14, 0.14)
+            told = position + np.clip(noise_m * rng.normal(size=3), -0.14, 0.14)
             now = VehicleState(
                 step * dt_s,
                 (float(told[0]), float(told[1]), float(told[2])),
@@ -67,8 +69,8 @@ def watched(noise_m: float, step_m: float = 0.0) -> list[Mapping[str, object]]:
     for number in range(1200):
         flight.fly(0.05)
         east, north, up = (noise_m * rng.normal(size=3)).tolist()
-        place = (east + (step_m if number >= 600 else 0.0), north, 20.0 + up)
-        flight.give(VehicleMoved(flight.now_s, state(flight.now_s, place)))
+        position = (east + (step_m if number >= 600 else 0.0), north, 20.0 + up)
+        flight.give(VehicleMoved(flight.now_s, state(flight.now_s, position)))
     return flight.records("own_jump")
 
 
@@ -127,7 +129,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
 
 
 @pytest.mark.parametrize(
-    ("place", "jump_m", "breaches"),
+    ("position", "jump_m", "breaches"),
     [
         ((90.0, 0.0, 30.0), (80.0, 0.0, 0.0), False),
         ((101.0, 0.0, 30.0), (80.0, 0.0, 0.0), True),
@@ -143,7 +145,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     ],
 )
 def test_what_may_be_flown_by_a_position_that_jumped(
-    place: PositionEnu, jump_m: PositionEnu, *, breaches: bool
+    position: PositionEnu, jump_m: PositionEnu, *, breaches: bool
 ) -> None:
     """Back inside the margin (5 m), or 3 sigma in height (3 m); no lower than the floor (5 m)."""
-    assert may_breach(LIMITS, Motion(place, (0.0, 0.0, 0.0), HOME), jump_m) is breaches
+    assert may_breach(LIMITS, Motion(position, (0.0, 0.0, 0.0), HOME), jump_m) is breaches

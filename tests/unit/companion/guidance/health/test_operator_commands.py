@@ -28,8 +28,8 @@ def test_hold_holds_at_the_next_tick_until_resume() -> None:
     since_s = flight.now_s
     flight.fly(10.0)
     assert flight.is_in(Phase.HOLD)
-    places = {c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, since_s + 2.0)}
-    assert len(places) == 1
+    positions = {c.setpoint.position_enu_m for c in flight.sent(SendSetpoint, since_s + 2.0)}
+    assert len(positions) == 1
     ask(flight, OperatorCommand.RESUME)
     flight.fly(0.1)
     assert flight.is_in(Phase.NORMAL)

@@ -24,7 +24,7 @@ from companion.guidance.emitters import (
 from companion.guidance.measurements import Queued, RangingListener
 from companion.guidance.vehicle_track import VehicleTrack
 
-PLACES: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
+EMITTERS_ENU_M: dict[int, Point] = {1: (80.0, 0.0), 2: (30.0, 0.0), 3: (0.0, 50.0)}
 HERE = (0.0, 0.0, 20.0)
 
 
@@ -53,7 +53,7 @@ class Heard:
         for _ in range(times):
             self.now_s += 0.1
             for number in ids:
-                east, north = PLACES[number]
+                east, north = EMITTERS_ENU_M[number]
                 measurement = RangingMeasurement(
                     emitter_id=number,
                     measured_at_s=self.now_s,

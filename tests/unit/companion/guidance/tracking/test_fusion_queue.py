@@ -131,9 +131,9 @@ def test_what_makes_a_filter_fail_is_not_tried_again() -> None:
 def test_a_move_of_the_frame_gives_a_begun_solution_up() -> None:
     tracker = TargetTracker(TrackerParams())
     for number in range(40):
-        place = (float(number), 3.0 * (number % 7), 10.0)
+        position = (float(number), 3.0 * (number % 7), 10.0)
         measurement = RangingMeasurement(1, 0.1 * number, 30.0 + 0.5 * number, 1.0)
-        steps = tracker.fusion(measurement, place, 0.1 * number)
+        steps = tracker.fusion(measurement, position, 0.1 * number)
         if next(steps, None) is not None and tracker.accepted > 20:
             break
         finish(steps)

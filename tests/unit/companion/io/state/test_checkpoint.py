@@ -43,15 +43,15 @@ ESTIMATE = TargetEstimate(
 )
 
 
-def a_checkpoint(places: int = 1, sequence: int = 7) -> Checkpoint:
-    rng = np.random.default_rng(places)
+def a_checkpoint(hypotheses: int = 1, sequence: int = 7) -> Checkpoint:
+    rng = np.random.default_rng(hypotheses)
     identity = tuple(tuple(row) for row in np.eye(4).tolist())
     belief = Belief(
         1,
         321,
         tuple(
             StoredHypothesis(-float(n), tuple(rng.normal(size=4).tolist()), identity)
-            for n in range(places)
+            for n in range(hypotheses)
         ),
     )
     return Checkpoint(
@@ -77,10 +77,10 @@ def test_a_memory_of_several_emitters_comes_back() -> None:
     assert decode_checkpoint(encode_checkpoint(several)) == several
 
 
-@pytest.mark.parametrize("places", [1, 2, 24])
-def test_a_checkpoint_comes_back_as_it_was(places: int) -> None:
-    data = encode_checkpoint(a_checkpoint(places))
-    assert decode_checkpoint(data) == a_checkpoint(places)
+@pytest.mark.parametrize("hypotheses", [1, 2, 24])
+def test_a_checkpoint_comes_back_as_it_was(hypotheses: int) -> None:
+    data = encode_checkpoint(a_checkpoint(hypotheses))
+    assert decode_checkpoint(data) == a_checkpoint(hypotheses)
     assert len(data) < 8000
 
 
@@ -99,10 +99,10 @@ def test_a_checkpoint_that_was_cut_off_anywhere_is_refused() -> None:
 def test_a_checkpoint_with_any_byte_changed_in_any_way_is_refused() -> None:
     data = encode_checkpoint(a_checkpoint())
     changes = [1 << bit for bit in range(8)] + [0xFF, 0x55]
-    for place in range(len(data)):
+    for index in range(len(data)):
         for change in changes:
             flipped = bytearray(data)
-            flipped[place] ^= change
+            flipped[index] ^= change
             with pytest.raises(CheckpointError):
                 decode_checkpoint(bytes(flipped))
 

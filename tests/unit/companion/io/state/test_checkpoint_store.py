@@ -45,11 +45,11 @@ def test_a_newest_one_cut_or_flipped_at_every_byte_leaves_the_one_before(tmp_pat
     store = store_with(tmp_path, 4, 5)
     whole = encode_checkpoint(a_checkpoint(sequence=5))
     assert store.paths[1].read_bytes() == whole
-    for place in range(len(whole)):
-        store.paths[1].write_bytes(whole[:place])
+    for index in range(len(whole)):
+        store.paths[1].write_bytes(whole[:index])
         assert loaded_sequence(store) == 4
         flipped = bytearray(whole)
-        flipped[place] ^= 0x10
+        flipped[index] ^= 0x10
         store.paths[1].write_bytes(bytes(flipped))
         found = store.load()
         assert found.checkpoint == a_checkpoint(sequence=4)

@@ -16,7 +16,7 @@ TOLD = LocalOrigin(47.397742, 8.545594, 488.0, Projection.SPHERE)
 GLOBAL_PERIOD_S = 0.5
 Path = Callable[[float], PositionEnu]
 Damaged = Callable[[int, PositionEnu], PositionEnu]
-"""Number of a local position and its place to the place that arrives."""
+"""Function of a local position's number and geodetic position, to the position that arrives."""
 
 
 def circle(time_s: float) -> PositionEnu:
@@ -35,7 +35,7 @@ def flown(
     true: LocalOrigin,
     path: Path = circle,
     seconds: float = 60.0,
-    damaged: Damaged = lambda _, place: place,
+    damaged: Damaged = lambda _, position: position,
 ) -> int:
     """How often the fit changed while an autopilot told positions as it does about an origin."""
     changes, next_s = 0, 0.1
@@ -43,15 +43,15 @@ def flown(
         now_s = 0.05 * step
         while next_s <= now_s:
             lat, lon, alt_m = true.geodetic_from_enu(path(next_s))
-            place = (round(lat * 1e7) / 1e7, round(lon * 1e7) / 1e7, round(alt_m, 3))
-            changes += fit.note_global(round(next_s, 3), place)
+            position = (round(lat * 1e7) / 1e7, round(lon * 1e7) / 1e7, round(alt_m, 3))
+            changes += fit.note_global(round(next_s, 3), position)
             next_s += GLOBAL_PERIOD_S + 0.013
         changes += fit.note_local(now_s, damaged(step, path(now_s)))
     return changes
 
 
-def off_m(fit: GeodesyFit, true: LocalOrigin, place: PositionEnu) -> float:
-    return math.dist(fit.origin.enu_from_geodetic(*true.geodetic_from_enu(place)), place)
+def off_m(fit: GeodesyFit, true: LocalOrigin, position: PositionEnu) -> float:
+    return math.dist(fit.origin.enu_from_geodetic(*true.geodetic_from_enu(position)), position)
 
 
 @pytest.mark.parametrize("projection", Projection)
@@ -70,15 +70,15 @@ def test_another_projection_is_known_by_where_it_is_flown_and_holds_far_away(
     true, fit = replace(TOLD, projection=projection), GeodesyFit(TOLD)
     assert off_m(fit, true, (120.0, 30.0, 0.0)) > LEAST_OFF_M
     assert flown(fit, true) >= 1
-    for place in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (700.0, -700.0, 20.0)):
-        assert off_m(fit, true, place) < 0.02
+    for position in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (700.0, -700.0, 20.0)):
+        assert off_m(fit, true, position) < 0.02
 
 
 def test_a_projection_that_nobody_knows_is_fitted_where_it_is_flown() -> None:
     true, fit = replace(TOLD, scale_en=(1.004, 0.997)), GeodesyFit(TOLD)
     assert flown(fit, true) >= 1
-    for place in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (0.0, 0.0, 20.0)):
-        assert off_m(fit, true, place) < 0.06
+    for position in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (0.0, 0.0, 20.0)):
+        assert off_m(fit, true, position) < 0.06
 
 
 def test_an_origin_that_is_not_the_told_one_is_found() -> None:
@@ -102,9 +102,9 @@ def test_a_few_pairs_prove_nothing_and_two_frames_cannot_be_fitted() -> None:
 @pytest.mark.parametrize("absurd", [1e30, -1e30, math.inf, math.nan, 2e5])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_places_that_are_none_are_in_no_pair(absurd: float, axis: int) -> None:
-    def damaged(step: int, place: PositionEnu) -> PositionEnu:
+    def damaged(step: int, position: PositionEnu) -> PositionEnu:
         values = [
-            absurd if step % 3 == 0 and number == axis else v for number, v in enumerate(place)
+            absurd if step % 3 == 0 and number == axis else v for number, v in enumerate(position)
         ]
         return (values[0], values[1], values[2])
 

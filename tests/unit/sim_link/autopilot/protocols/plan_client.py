@@ -24,21 +24,21 @@ LAT, LON = 473_977_420, 85_455_940
 HOME = PlanItem(16, 0, (0.0, 0.0, 0.0, 0.0), LAT, LON, 488.0)
 
 
-def waypoint(place: int = 0, **changes: object) -> PlanItem:
-    """A waypoint north of home, its height its place's number."""
+def waypoint(number: int = 0, **changes: object) -> PlanItem:
+    """A waypoint north of home, its height the waypoint's number."""
     fields: dict[str, object] = {
         "command": mavlink.MAV_CMD_NAV_WAYPOINT,
         "frame": mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
         "params": (0.0, 0.0, 0.0, 0.0),
-        "x": LAT + 1000 * place,
+        "x": LAT + 1000 * number,
         "y": LON,
-        "z": 10.0 + place,
+        "z": 10.0 + number,
     }
     return PlanItem(**{**fields, **changes})  # type: ignore[arg-type]
 
 
 def waypoints(count: int, first: int = 0) -> list[PlanItem]:
-    return [waypoint(first + place) for place in range(count)]
+    return [waypoint(first + number) for number in range(count)]
 
 
 class Client:

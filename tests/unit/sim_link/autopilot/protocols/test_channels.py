@@ -21,9 +21,9 @@ def piece(data: bytes, port: int) -> Chunk:
 def test_clients_of_one_port_do_not_tear_each_others_frames() -> None:
     receivers = FrameReceivers()
     got = []
-    for place in range(len(frame(1))):
+    for index in range(len(frame(1))):
         for port, mark in ((40_001, 1), (40_002, 2)):
-            got += receivers.split(piece(frame(mark)[place : place + 1], port))[0]
+            got += receivers.split(piece(frame(mark)[index : index + 1], port))[0]
     assert got == [frame(1), frame(2)]
 
 

@@ -68,12 +68,12 @@ def test_a_command_that_does_not_belong_there_is_unsupported(
 
 
 @BOTH
-@pytest.mark.parametrize("place", range(4))
-def test_an_infinite_parameter_is_named(checks: PlanChecks, place: int) -> None:
+@pytest.mark.parametrize("index", range(4))
+def test_an_infinite_parameter_is_named(checks: PlanChecks, index: int) -> None:
     params = [0.0, 0.0, 0.0, 0.0]
-    params[place] = INF
+    params[index] = INF
     problem = checks.problem_with(waypoint(params=tuple(params)), MISSION)
-    assert problem == PlanResult.INVALID_PARAM1 + place
+    assert problem == PlanResult.INVALID_PARAM1 + index
 
 
 @BOTH
@@ -81,12 +81,12 @@ def test_a_nan_yaw_is_taken(checks: PlanChecks) -> None:
     assert checks.problem_with(waypoint(params=(0.0, 0.0, 0.0, NAN)), MISSION) is None
 
 
-@pytest.mark.parametrize(("command", "place"), [(16, 0), (16, 1), (16, 2), (RTL, 3), (31_000, 3)])
-def test_any_other_nan_is_named_on_ardupilot_and_taken_on_px4(command: int, place: int) -> None:
+@pytest.mark.parametrize(("command", "index"), [(16, 0), (16, 1), (16, 2), (RTL, 3), (31_000, 3)])
+def test_any_other_nan_is_named_on_ardupilot_and_taken_on_px4(command: int, index: int) -> None:
     params = [0.0, 0.0, 0.0, 0.0]
-    params[place] = NAN
+    params[index] = NAN
     item = waypoint(command=command, params=tuple(params))
-    assert ARDUPILOT.problem_with(item, MISSION) == PlanResult.INVALID_PARAM1 + place
+    assert ARDUPILOT.problem_with(item, MISSION) == PlanResult.INVALID_PARAM1 + index
     assert PX4.problem_with(item, MISSION) in (None, PlanResult.UNSUPPORTED)
 
 
@@ -118,12 +118,12 @@ def test_zero_zero_is_here_on_ardupilot_and_refused_on_px4() -> None:
 
 
 @BOTH
-@pytest.mark.parametrize("place", [(0, 0), (NO_VALUE, NO_VALUE)])
+@pytest.mark.parametrize("position", [(0, 0), (NO_VALUE, NO_VALUE)])
 @pytest.mark.parametrize("command", [TAKEOFF, LAND, 17, 19])
 def test_takeoff_landing_and_loitering_may_be_here(
-    checks: PlanChecks, command: int, place: tuple[int, int]
+    checks: PlanChecks, command: int, position: tuple[int, int]
 ) -> None:
-    item = waypoint(command=command, x=place[0], y=place[1])
+    item = waypoint(command=command, x=position[0], y=position[1])
     assert checks.problem_with(item, MISSION) is None
 
 

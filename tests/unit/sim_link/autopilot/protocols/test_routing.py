@@ -45,12 +45,12 @@ class Net:
         return self.router.route(frame_of(message, channel), channel)
 
 
-def places(chunks: list[Chunk]) -> set[tuple[int, object, object]]:
+def destinations(chunks: list[Chunk]) -> set[tuple[int, object, object]]:
     return {(chunk.link, chunk.peer, next(iter(chunk.except_peers), None)) for chunk in chunks}
 
 
 def test_a_broadcast_goes_to_every_other_channel_and_not_back() -> None:
-    assert places(Net().tell(heartbeat(), COMPANION)) == {
+    assert destinations(Net().tell(heartbeat(), COMPANION)) == {
         (UDP, None, COMPANION.peer),
         (TCP, None, None),
         (SERIAL, None, None),
@@ -58,7 +58,7 @@ def test_a_broadcast_goes_to_every_other_channel_and_not_back() -> None:
 
 
 def test_what_comes_by_a_link_with_one_end_does_not_go_back_to_it() -> None:
-    assert places(Net().tell(heartbeat(), RADIO)) == {(UDP, None, None), (TCP, None, None)}
+    assert destinations(Net().tell(heartbeat(), RADIO)) == {(UDP, None, None), (TCP, None, None)}
 
 
 def test_an_addressed_frame_goes_only_where_its_target_was_heard() -> None:
@@ -96,7 +96,7 @@ def test_who_was_heard_on_two_channels_is_reached_on_both() -> None:
     net = Net()
     net.router.route(frame_of(heartbeat(), STATION), RADIO)
     chunks = net.tell(command(255, 190), COMPANION)
-    assert places(chunks) == {(UDP, STATION.peer, None), (SERIAL, None, None)}
+    assert destinations(chunks) == {(UDP, STATION.peer, None), (SERIAL, None, None)}
 
 
 def test_what_a_peer_sends_to_itself_never_comes_back() -> None:
@@ -154,7 +154,7 @@ def test_a_restart_clears_the_routes_of_its_system() -> None:
     net.router.route(frame_of(heartbeat(), STATION), RADIO)
     net.tell(system_time(500_000), STATION)
     net.tell(system_time(900), STATION)
-    assert places(net.tell(command(255, 190), COMPANION)) == {(UDP, STATION.peer, None)}
+    assert destinations(net.tell(command(255, 190), COMPANION)) == {(UDP, STATION.peer, None)}
     assert len(net.tell(command(254, 190), COMPANION)) == 1
 
 

@@ -114,8 +114,10 @@ def test_the_estimate_jumps_and_the_origin_moves() -> None:
     flight, _, _ = flown(OriginShift(east_m=10.0))
     before = flight.sim.vehicle.origin
     flight.run(0.1)
-    place = flight.sim.vehicle.origin
-    moved = before.enu_from_geodetic(place.latitude_deg, place.longitude_deg, place.altitude_m)
+    position = flight.sim.vehicle.origin
+    moved = before.enu_from_geodetic(
+        position.latitude_deg, position.longitude_deg, position.altitude_m
+    )
     assert moved[0] == pytest.approx(10.0, abs=0.02)
 
 

@@ -17,7 +17,7 @@ from sim_link.lab.mission.script_file import flown_config, line_of, load_mission
 BOW_TIE = [[0, 0], [10, 10], [10, 0], [0, 10]]
 VAST = [[0, 0], [90_000, 0], [0, 90_000]]
 FAR = [[900, 900], [910, 900], [910, 910]]
-"""A place outside of the fence."""
+"""A position outside of the fence."""
 SCRIPT = """\
 name: two steps
 about: A script for tests.
@@ -231,8 +231,8 @@ def test_the_line_of_a_path(path: str, line: int | None) -> None:
 
 def test_a_script_may_take_its_scenario_from_a_file_and_replace_keys(tmp_path: Path) -> None:
     scenario = "name: elsewhere\nemitter: {height_m: 3.0}\nwind: {east_mps: 4.0}\n"
-    (tmp_path / "place.yaml").write_text(scenario)
-    script = "name: m\nscenario: place.yaml\nwind: {north_mps: 1.0}\nsteps: [connect]\n"
+    (tmp_path / "site.yaml").write_text(scenario)
+    script = "name: m\nscenario: site.yaml\nwind: {north_mps: 1.0}\nsteps: [connect]\n"
     mission = parse_mission(script, "m", tmp_path)
     assert mission.name == "m"
     assert mission.emitter.height_m == 3.0

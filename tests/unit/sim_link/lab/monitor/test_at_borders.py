@@ -40,24 +40,24 @@ def sent_beside(
     scene = around.monitor.scene
     scene.observed.is_ours, scene.is_lied_to = is_ours, is_lied_to
     invariant = invariant_type(scene)
-    for tick, (vehicle, place) in enumerate(zip(vehicles, setpoints, strict=True)):
+    for tick, (vehicle, position) in enumerate(zip(vehicles, setpoints, strict=True)):
         scene.now_s = tick * TICK_S
         scene.observed.position_enu_m, scene.observed.position_s = (*vehicle, up_m), scene.now_s
-        invariant.setpoint(SentSetpoint(scene.now_s, (*place, up_m), SETPOINT))
+        invariant.setpoint(SentSetpoint(scene.now_s, (*position, up_m), SETPOINT))
     return [violation.what for violation in around.monitor.violations]
 
 
 def line(north_m: float, steps_m: list[float]) -> list[Point]:
-    """Places along a line from west to east."""
-    east_m, places = 10.0, []
+    """Return positions along a line from west to east."""
+    east_m, positions = 10.0, []
     for step_m in steps_m:
         east_m += step_m
-        places.append((east_m, north_m))
-    return places
+        positions.append((east_m, north_m))
+    return positions
 
 
 @pytest.mark.parametrize(
-    ("vehicle", "place", "is_moved"),
+    ("vehicle", "position", "is_moved"),
     [
         ((50.0, 1.0), (50.0, 6.0), True),
         ((50.0, -3.0), (50.0, 4.0), True),
@@ -67,9 +67,9 @@ def line(north_m: float, steps_m: list[float]) -> list[Point]:
     ],
 )
 def test_only_a_vehicle_at_a_border_is_moved_and_only_by_a_margin(
-    vehicle: Point, place: Point, *, is_moved: bool
+    vehicle: Point, position: Point, *, is_moved: bool
 ) -> None:
-    assert is_moved_inwards(depth_m(FENCE, (), vehicle), vehicle, place) is is_moved
+    assert is_moved_inwards(depth_m(FENCE, (), vehicle), vehicle, position) is is_moved
 
 
 def test_what_moves_along_with_a_vehicle_beyond_a_border_is_not_accelerated() -> None:
@@ -166,12 +166,12 @@ def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
     found: list[str], ahead_m: float, *, is_dragged: bool
 ) -> None:
     around = monitored_flight(AUTO, Scenario(), 1)
-    scene, place = around.monitor.scene, (10.0, BORDER_NORTH_M + 2.0, 15.0)
+    scene, position = around.monitor.scene, (10.0, BORDER_NORTH_M + 2.0, 15.0)
     scene.observed.is_ours = True
     body = scene.vehicle.body
-    body.position_enu_m, body.velocity_enu_mps = place, (0.0, -8.0, 0.0)
+    body.position_enu_m, body.velocity_enu_mps = position, (0.0, -8.0, 0.0)
     invariant = SafeToFreeze(scene, lambda: is_dragged)
-    invariant.setpoint(SentSetpoint(0.0, (10.0, place[1] + ahead_m, 15.0), SETPOINT))
+    invariant.setpoint(SentSetpoint(0.0, (10.0, position[1] + ahead_m, 15.0), SETPOINT))
     assert [violation.what for violation in around.monitor.violations] == found
 
 

@@ -41,9 +41,9 @@ def item(seq: int, command: int, first: float, east: float, north: float) -> Mes
     return mavlink.MAVLink_mission_item_int_message(*what, *at, FENCE)
 
 
-def corners(*places: tuple[float, float], is_in: bool = True) -> list[Message]:
+def corners(*positions: tuple[float, float], is_in: bool = True) -> list[Message]:
     command = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION + (not is_in)
-    return [item(n, command, len(places), *place) for n, place in enumerate(places)]
+    return [item(n, command, len(positions), *position) for n, position in enumerate(positions)]
 
 
 def test_a_fence_is_in_force_from_its_last_item_on() -> None:

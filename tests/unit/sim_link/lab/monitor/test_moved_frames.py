@@ -68,9 +68,9 @@ def test_one_that_is_not_moved_along_with_the_origin_is_found(around: Monitored)
     assert what == ["the first setpoint is not where the vehicle is"]
 
 
-def position(boot_s: float, place: PositionEnu, now_s: float) -> Frame:
+def position(boot_s: float, enu_m: PositionEnu, now_s: float) -> Frame:
     """A local position that arrives."""
-    east_m, north_m, up_m = place
+    east_m, north_m, up_m = enu_m
     message = mavlink.MAVLink_local_position_ned_message(
         round(1000 * boot_s), north_m, east_m, -up_m, 0.0, 0.0, 0.0
     )
@@ -132,8 +132,8 @@ def test_an_origin_says_where_the_last_position_was(
     scene.observe(position(42.0, local, now_s=42.0))
     scene.observe(origin(scene, 11.0, now_s=42.05))
     scene.now_s = 42.06
-    place = (truly[0], truly[1] + away_m, truly[2])
-    invariant_type(scene).setpoint(SentSetpoint(scene.now_s, place, SETPOINT))
+    moved = (truly[0], truly[1] + away_m, truly[2])
+    invariant_type(scene).setpoint(SentSetpoint(scene.now_s, moved, SETPOINT))
     assert bool(found(around)) is is_found
 
 

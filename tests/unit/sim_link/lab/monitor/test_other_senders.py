@@ -43,8 +43,8 @@ def in_flight(flavour: FlavourName, uid: int | None = None) -> Monitored:
 
 
 def true_depth_m(around: Monitored) -> float:
-    place = around.flight.sim.vehicle.body.position_enu_m
-    return depth_m(rules_of(AUTO).fence_enu_m, rules_of(AUTO).keep_out_enu_m, place[:2])
+    position = around.flight.sim.vehicle.body.position_enu_m
+    return depth_m(rules_of(AUTO).fence_enu_m, rules_of(AUTO).keep_out_enu_m, position[:2])
 
 
 @pytest.mark.slow

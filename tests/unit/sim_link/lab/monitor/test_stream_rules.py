@@ -35,7 +35,7 @@ class Stream:
         is_fresh: bool = True,
         is_mode_heard: bool = True,
     ) -> None:
-        """Time passes, with mode and place of the vehicle at every step."""
+        """Let time pass, with mode and position of the vehicle at every step."""
         scene = self.scene
         while scene.now_s < until_s:
             scene.now_s += STEP_S

@@ -27,14 +27,14 @@ LATCHED = System("map", "latched")
 
 
 @pytest.mark.parametrize(
-    ("place", "is_dark"),
+    ("point", "is_dark"),
     [((10.0, 10.0), True), ((0.0, 50.0), True), ((60.0, 50.0), False), ((45.0, 90.0), False)],
 )
 def test_the_shadow_is_what_the_target_cannot_see(
-    place: tuple[float, float], is_dark: bool
+    point: tuple[float, float], is_dark: bool
 ) -> None:
     quads = shadow_quads(BLOCK, (50.0, 50.0))
-    assert any(contains(quad, place) for quad in quads) is is_dark
+    assert any(contains(quad, point) for quad in quads) is is_dark
 
 
 def test_curves_are_of_the_compared_systems_and_their_bounds() -> None:

@@ -17,9 +17,9 @@ def test_labels_that_collide_are_spread_about_their_middle() -> None:
 
 
 def test_a_spread_group_pushes_its_neighbour() -> None:
-    places = spread([0.40, 0.44, 0.52], 0.1)
-    assert [b - a for a, b in pairwise(places)] == pytest.approx([0.1, 0.1])
-    assert sum(places) == pytest.approx(0.40 + 0.44 + 0.52)
+    values = spread([0.40, 0.44, 0.52], 0.1)
+    assert [b - a for a, b in pairwise(values)] == pytest.approx([0.1, 0.1])
+    assert sum(values) == pytest.approx(0.40 + 0.44 + 0.52)
 
 
 @pytest.mark.slow

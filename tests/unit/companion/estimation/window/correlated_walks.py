@@ -5,8 +5,8 @@ is never negative, is a field over the way, and changes over a distance of metre
 
     range = distance + offset + excess(way) + noise,    excess = mean * -log(Phi(g(way)))
 
-with g a Gauss-Markov process of unit variance, so that the excess at a place is exponential. Paths
-are those of people: straight on, round a corner, a circle, and standing still after some steps.
+with g a Gauss-Markov process of unit variance, so that the excess at a position is exponential.
+Paths are those of people: straight on, round a corner, a circle, and standing still after steps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NOISE_M = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedCase:
+class CorrelatedCase:
     """One kind of walk."""
 
     path: PathName
@@ -73,25 +73,25 @@ def excess_m(rng: np.random.Generator, way_m: Vector, length_m: float) -> Vector
     return np.asarray(-EXCESS_M * np.log(np.maximum(below, 1e-9)))
 
 
-def walk_of(case: PlacedCase, rng: np.random.Generator) -> list[WalkRow]:
+def walk_of(case: CorrelatedCase, rng: np.random.Generator) -> list[WalkRow]:
     """Draw a walk past a target."""
-    places = way_of(case.path)
-    steps_m = np.hypot(*np.diff(places, axis=0).T)
+    positions = way_of(case.path)
+    steps_m = np.hypot(*np.diff(positions, axis=0).T)
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     turn_rad, away_m = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(NEAREST_M, FARTHEST_M)
-    target = places.mean(axis=0) + away_m * np.array([math.cos(turn_rad), math.sin(turn_rad)])
+    target = positions.mean(axis=0) + away_m * np.array([math.cos(turn_rad), math.sin(turn_rad)])
     offset_m = max(0.0, rng.normal(OFFSET_M, OFFSET_SIGMA_M))
-    noise_m = rng.normal(0.0, NOISE_M, len(places))
-    ranges = np.hypot(*(places - target).T) + offset_m + excess_m(rng, way_m, case.length_m)
+    noise_m = rng.normal(0.0, NOISE_M, len(positions))
+    ranges = np.hypot(*(positions - target).T) + offset_m + excess_m(rng, way_m, case.length_m)
     ranges = np.maximum(ranges + noise_m, 0.1)
     truth = (float(target[0]), float(target[1]))
     return [
         WalkRow("target", RangingMeasurement(1, index / RATE_HZ, range_m=r), (e, n, 0.0), truth)
-        for index, (r, (e, n)) in enumerate(zip(ranges.tolist(), places.tolist(), strict=True))
+        for index, (r, (e, n)) in enumerate(zip(ranges.tolist(), positions.tolist(), strict=True))
     ]
 
 
-def walks_of(case: PlacedCase, seeds: Iterable[int]) -> Iterator[list[WalkRow]]:
+def walks_of(case: CorrelatedCase, seeds: Iterable[int]) -> Iterator[list[WalkRow]]:
     """Yield walks of a kind, one for each seed."""
     number = PATHS.index(case.path)
     for seed in seeds:
