@@ -1,19 +1,20 @@
 """`companion replay`: the flying estimator, fed from a recorded ranging walk.
 
-A CSV file has a row per answer of an emitter, with the columns `t_s`, `agent_x_m`, `agent_y_m`,
-`target_id`, and at least one of `range_m`, `bearing_rad`, `elevation_rad` and `power_dbm` (an empty
-cell means "not measured"). x is east, y is north, a bearing is counter-clockwise from east.
-Optional are `agent_z_m` (the target's height is then estimated), `own_sigma_m` (standard deviation
-per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw that the bearings were turned
-by), and `target_x_m` and `target_y_m`, which only serve to compute the error of the estimate.
-Values for a whole walk may stand in the JSON object beside it (`walk.json` of `walk.csv`) under the
-same two names.
+A CSV file has a row per answer of an emitter, in any order, with the columns `t_s`, `agent_x_m`,
+`agent_y_m`, `target_id`, and at least one of `range_m`, `bearing_rad`, `elevation_rad` and
+`power_dbm` (an empty cell or NaN means "not measured"). x is east, y is north, a bearing is
+counter-clockwise from east. Optional are `agent_z_m` (the target's height is then estimated),
+`own_sigma_m` (standard deviation per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw
+that the bearings were turned by), and `target_x_m` and `target_y_m`, which only serve to compute
+the error of the estimate. Values for a whole walk may stand in the JSON object beside it
+(`walk.json` of `walk.csv`) under the same two names.
 """
 
 from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,6 +39,12 @@ from companion.estimation.window.rivals import Observability
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")
+COLUMNS = (
+    *(*REQUIRED, *MEASURED, "agent_z_m", "own_sigma_m", "own_yaw_sigma_rad"),
+    *("target_x_m", "target_y_m"),
+)
+SEPARATORS = ",;\t"
+"""A spreadsheet writes semicolons where the comma separates decimals."""
 PROGRESS_ROWS = 2000
 STOREY_M = 3.0
 """Standard deviation of a target's height that is not configured: it lies a storey higher or
@@ -132,7 +139,7 @@ def replay_walk(
     `own_sigma_m` replaces the walk's own accuracy of its positions.
     """
     targets: dict[str, _Replayed] = {}
-    rows = list(read_walk(path, own_sigma_m))
+    rows = read_walk(path, own_sigma_m)
     params = with_unknown_height(params, rows)
     for number, row in enumerate(rows):
         target = targets.get(row.target_id)
@@ -205,25 +212,29 @@ def stated_accuracy(path: Path) -> WalkAccuracy:
         raise ConfigError(f"{beside}: beside the walk: {error}") from error
 
 
-def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]:
-    """Yield the rows of a recorded walk; a `ConfigError` names the wrong line."""
+def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
+    """Return the rows of a recorded walk by time; a `ConfigError` names the wrong line."""
     stated = stated_accuracy(path)
     if own_sigma_m is not None:
         stated = msgspec.structs.replace(stated, own_sigma_m=own_sigma_m)
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            present = list(reader.fieldnames) if isinstance(reader.fieldnames, list) else []
-            missing = [name for name in REQUIRED if name not in present]
-            if missing:
-                raise ConfigError(f"{path}: line 1: missing column {', '.join(missing)}")
-            if not any(name in present for name in MEASURED):
-                raise ConfigError(f"{path}: line 1: needs a column {' or '.join(MEASURED)}")
+            separator = max(SEPARATORS, key=file.readline().count)
+            file.seek(0)
+            reader = csv.DictReader(file, delimiter=separator)
+            present = [name.strip() for name in reader.fieldnames or ()]
+            _check_columns(present, f"{path}: line 1")
+            reader.fieldnames = present
             numbers: dict[str, int] = {}
+            rows = []
             for row in reader:
+                cells = _cells(row, has_points=separator == ",")
                 if own_sigma_m is not None:
-                    row.pop("own_sigma_m", None)
-                yield _walk_row(row, f"{path}: line {reader.line_num}", numbers, stated)
+                    cells.pop("own_sigma_m", None)
+                if any(cells.values()):
+                    place = f"{path}: line {reader.line_num}"
+                    rows.append(_walk_row(cells, place, numbers, stated))
+            return sorted(rows, key=lambda row: row.measurement.measured_at_s)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -232,15 +243,35 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> Iterator[WalkRow]
         raise ConfigError(f"{path}: not a CSV file: {error}") from error
 
 
+def _check_columns(present: Sequence[str], place: str) -> None:
+    """Raise ConfigError for columns that no walk can be read from."""
+    missing = [name for name in REQUIRED if name not in present]
+    if missing:
+        raise ConfigError(f"{place}: missing column {', '.join(missing)}")
+    twice = [name for name in COLUMNS if present.count(name) > 1]
+    if twice:
+        raise ConfigError(f"{place}: more than one column {', '.join(twice)}")
+    if not any(name in present for name in MEASURED):
+        raise ConfigError(f"{place}: needs a column {' or '.join(MEASURED)}")
+
+
+def _cells(row: Mapping[str, str | None], has_points: bool) -> dict[str, str]:
+    """Return the cells of a row without spaces about them, their decimals after a point."""
+    cells = {name: (row.get(name) or "").strip() for name in COLUMNS}
+    if has_points:
+        return cells
+    return {n: text if n == "target_id" else text.replace(",", ".") for n, text in cells.items()}
+
+
 def _walk_row(
-    row: Mapping[str, str | None], place: str, numbers: dict[str, int], stated: WalkAccuracy
+    row: Mapping[str, str], place: str, numbers: dict[str, int], stated: WalkAccuracy
 ) -> WalkRow:
-    target_id = row.get("target_id")
+    target_id = row["target_id"]
     if not target_id:
         raise ConfigError(f"{place}: target_id is empty")
     t_s, east, north = (_needed(row, name, place) for name in REQUIRED[:3])
     up = _number(row, "agent_z_m", place) or 0.0
-    truth_east, truth_north = (_number(row, f"target_{axis}_m", place) for axis in "xy")
+    truth_east, truth_north = (_measured(row, f"target_{axis}_m", place) for axis in "xy")
     if not all(abs(metres) <= FARTHEST_M for metres in (east, north, up)):
         raise ConfigError(f"{place}: agent_x_m, agent_y_m, agent_z_m: no place on the Earth")
     truth = None if truth_east is None or truth_north is None else (truth_east, truth_north)
@@ -251,10 +282,10 @@ def _walk_row(
         measurement=RangingMeasurement(
             emitter_id=numbers.setdefault(target_id, len(numbers)),
             measured_at_s=t_s,
-            range_m=_number(row, "range_m", place),
+            range_m=_measured(row, "range_m", place),
             bearing_enu_rad=_bearing(row, place),
-            elevation_rad=_number(row, "elevation_rad", place),
-            power_dbm=_number(row, "power_dbm", place),
+            elevation_rad=_measured(row, "elevation_rad", place),
+            power_dbm=_measured(row, "power_dbm", place),
         ),
         agent_enu_m=(east, north, up),
         truth_enu_m=truth,
@@ -265,9 +296,7 @@ def _walk_row(
     )
 
 
-def _sigma(
-    row: Mapping[str, str | None], name: str, place: str, stated: float | None
-) -> float | None:
+def _sigma(row: Mapping[str, str], name: str, place: str, stated: float | None) -> float | None:
     """Return a row's standard deviation, or the one of the whole walk."""
     value = _number(row, name, place)
     if value is None:
@@ -277,9 +306,9 @@ def _sigma(
     return value
 
 
-def _number(row: Mapping[str, str | None], name: str, place: str) -> float | None:
+def _number(row: Mapping[str, str], name: str, place: str) -> float | None:
     text = row.get(name)
-    if text is None or not text.strip():
+    if not text:
         return None
     try:
         return float(text)
@@ -287,15 +316,21 @@ def _number(row: Mapping[str, str | None], name: str, place: str) -> float | Non
         raise ConfigError(f"{place}: {name} is not a number: `{text}`") from None
 
 
-def _bearing(row: Mapping[str, str | None], place: str) -> float | None:
+def _measured(row: Mapping[str, str], name: str, place: str) -> float | None:
+    """Return a measured value; None for an empty cell, or for NaN, which arrays write instead."""
+    value = _number(row, name, place)
+    return None if value is None or math.isnan(value) else value
+
+
+def _bearing(row: Mapping[str, str], place: str) -> float | None:
     """Return a bearing, from -pi to pi; a file may also count from 0 to 2 pi."""
-    value = _number(row, "bearing_rad", place)
+    value = _measured(row, "bearing_rad", place)
     if value is None or not math.pi < abs(value) <= 2.0 * math.pi:
         return value
     return math.remainder(value, 2.0 * math.pi)
 
 
-def _needed(row: Mapping[str, str | None], name: str, place: str) -> float:
+def _needed(row: Mapping[str, str], name: str, place: str) -> float:
     value = _number(row, name, place)
     if value is None or not math.isfinite(value):
         raise ConfigError(f"{place}: {name} must be a finite number")
@@ -341,7 +376,11 @@ def explanation(results: list[TargetResult]) -> str:
 
 
 def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
-    """Yield remarks on targets that are not localised, and on an assumed position accuracy."""
+    """Yield remarks on refusals, targets that are not localised, and an assumed own accuracy."""
+    refused = sum((Counter(result.refused) for result in results), Counter[str]())
+    if refused:
+        words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
+        yield f"refused: {words}"
     estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
     open_m = {
         name: estimate.settled_r95_m

@@ -119,10 +119,10 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
     assert result.rows == 120
     assert result.accepted == 115
     assert dict(result.refused) == {
-        "not finite": 2,
+        "nothing measured": 2,
+        "not finite": 1,
         "range not positive": 1,
         "range absurd": 1,
-        "nothing measured": 1,
     }
 
 
@@ -135,6 +135,10 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,,3\n", "line 2: target_id is empty"),
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,A,3\nnan,1,2,A,3\n", "line 3: t_s must"),
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1\n", "line 2: target_id is empty"),
+        (
+            "t_s,agent_x_m,agent_y_m,target_id,range_m,range_m\n0,1,2,A,3,\n",
+            "line 1: more than one column range_m",
+        ),
     ],
 )
 def test_broken_file_names_the_line(tmp_path: Path, text: str, problem: str) -> None:
@@ -142,6 +146,48 @@ def test_broken_file_names_the_line(tmp_path: Path, text: str, problem: str) -> 
     path.write_text(text)
     with pytest.raises(ConfigError, match=problem):
         list(read_walk(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t_s;agent_x_m;agent_y_m;target_id;range_m\n0,5;1,5;2;a.1,b;3,25\n",
+        "t_s\tagent_x_m\tagent_y_m\ttarget_id\trange_m\n0.5\t1.5\t2\ta.1,b\t3.25\n",
+        't_s, agent_x_m, agent_y_m , target_id, range_m\r\n0.5, 1.5, 2,"a.1,b" ,3.25\r\n',
+        '\ufefft_s,agent_x_m,agent_y_m,target_id,range_m\n0.5,1.5,2,"a.1,b",3.25\n,,,,\n',
+    ],
+)
+def test_separators_and_spaces_of_other_programs_are_read(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_text(text, encoding="utf-8")
+    (row,) = read_walk(path)
+    assert row.target_id == "a.1,b"
+    assert row.agent_enu_m == (1.5, 2.0, 0.0)
+    assert (row.measurement.measured_at_s, row.measurement.range_m) == (0.5, 3.25)
+
+
+def test_rows_in_any_order_are_read_by_time(tmp_path: Path) -> None:
+    ordered = write_walk(tmp_path / "ordered.csv", circle())
+    backwards = write_walk(tmp_path / "backwards.csv", circle()[::-1])
+    assert read_walk(backwards) == read_walk(ordered)
+
+
+def test_nan_beside_a_bearing_is_a_range_that_was_not_measured(tmp_path: Path) -> None:
+    rows = [row | {"range_m": "nan", "target_x_m": "nan", "target_y_m": "nan"} for row in circle()]
+    for row in read_walk(write_walk(tmp_path / "walk.csv", rows)):
+        assert row.measurement.range_m is None
+        assert row.measurement.bearing_enu_rad is not None
+        assert row.truth_enu_m is None
+
+
+def test_reasons_of_refusals_stand_below_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = circle()
+    for index, value in ((5, -3.0), (6, -3.0), (7, 1e9)):
+        rows[index] |= {"range_m": value, "bearing_rad": ""}
+    assert main(["replay", str(write_walk(tmp_path / "walk.csv", rows))]) == 0
+    assert "refused: range not positive 2, range absurd 1\n" in capsys.readouterr().out
 
 
 def test_command_prints_a_table_and_writes_json(
