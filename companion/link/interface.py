@@ -31,7 +31,14 @@ Sign = Literal[1, -1]
 MOST_EMITTERS = 256
 """Limit of names of a stream; forged input can invent any number."""
 LAST_ID = 65_535
-_MAC = re.compile(r"([0-9a-f]{2}[:-]){5,7}[0-9a-f]{2}|(?:[0-9a-f]{4}){1,4}", re.I)
+_MAC = re.compile(
+    r"[0-9a-f]{2}(?:[:-][0-9a-f]{2}){5}(?:(?:[:-][0-9a-f]{2}){2})?"
+    r"|[0-9a-f]{4}(?:\.[0-9a-f]{4}){2,3}|[0-9a-f]{12}|[0-9a-f]{16}",
+    re.I,
+)
+"""Address of 6 or 8 bytes, in any of its notations."""
+_SHORT = re.compile(r"[0-9a-f]{4}|[0-9a-f]{8}", re.I)
+"""Address of 2 or 4 bytes."""
 _NUMBER = re.compile(r"[1-9][0-9]{0,18}|0[0-9]{0,4}|0[xX][0-9a-fA-F]{1,16}")
 
 
@@ -39,7 +46,7 @@ class RadioSettings(Params, frozen=True):
     """Settings that turn the readings of one radio into measurements."""
 
     emitters: dict[str, EmitterId] = msgspec.field(default_factory=dict)
-    """Ids by the name on the wire; MAC addresses in any case."""
+    """Ids by the name on the wire; addresses in any case and notation."""
     emitter: EmitterId = 1
     """Id of readings without an emitter."""
     unnamed: Literal["number", "refuse"] = "number"
@@ -161,9 +168,12 @@ class EmitterNames:
             except ValueError:
                 return None
         text = str(emitter).strip()
+        if isinstance(emitter, str) and _MAC.fullmatch(text):
+            digits = re.sub("[:.-]", "", text.lower())
+            return ":".join(digits[at : at + 2] for at in range(0, len(digits), 2))
         if _NUMBER.fullmatch(text):
             return str(int(text, 16 if text[:2] in ("0x", "0X") else 10))
-        return text.lower().replace("-", ":") if _MAC.fullmatch(text) else text
+        return text.lower() if _SHORT.fullmatch(text) else text
 
     def _find(self, emitter: str | int | None) -> int | None:
         assert emitter is not None  # known from the start

@@ -197,10 +197,12 @@ PROMPT = re.compile(r"^(?:dwm> ?)+")
 NUMBER = r"-?[0-9]{1,7}(?:\.[0-9]{1,4})?"
 WHERE = rf"(?:{NUMBER}|-?nan|-?inf)"
 """Pattern of a coordinate; a tag without a position prints nan, but its ranges are valid."""
-ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{WHERE},{WHERE},{WHERE},({NUMBER})", re.I)
+RANGE = r"-?[0-9]{1,7}\.[0-9]{2,4}"
+"""Pattern of a range, always with its decimals: `3` or `3.1` is the rest of a torn line."""
+ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{WHERE},{WHERE},{WHERE},({RANGE})", re.I)
 PLACE = re.compile(rf",POS(?:,{WHERE}){{3}},[0-9]{{1,3}}", re.I)
 DISTANCES = re.compile(r"DIST,([0-9]{1,2})(,.*)?$")
-BRACKETED = re.compile(rf"([0-9A-F]{{4}})\[{WHERE},{WHERE},{WHERE}\]=({NUMBER})", re.I)
+BRACKETED = re.compile(rf"([0-9A-F]{{4}})\[{WHERE},{WHERE},{WHERE}\]=({RANGE})", re.I)
 BESIDE = re.compile(rf"le_us=[0-9]+|est\[{WHERE},{WHERE},{WHERE},[0-9]{{1,3}}\]")
 PLACE_LINE = re.compile(rf"POS(?:,{WHERE}){{3}},[0-9]{{1,3}}$")
 

@@ -99,7 +99,7 @@ class Ryuw122Decoder(FormDecoder):
     options: TagOptions
     forms = (
         form(
-            r"\+ANCHOR_RCV= ?(?P<emitter>[^,]{1,12}),[0-9]{1,3},.{0,40},"
+            r"\+ANCHOR_RCV= ?(?P<emitter>[^,]{1,12}),[0-9]{1,3},(?:(?!\+ANCHOR).){0,40},"
             r" ?0*(?P<range_cm>-?[0-9]{1,7}) ?cm(?:$|\s|, ?(?P<power_dbm>-[0-9]{1,3})?)"
         ),
         form(r"\+ANCHOR_RCV", "torn line"),
@@ -233,7 +233,7 @@ class DopplerDecoder(FormDecoder):
             r'"snr_db":[^,]*,"bearing_uncertainty_deg":(?:null|(?P<azimuth_sigma_deg>[0-9.]+)),'
         ),
         form(
-            r"^Bearing: +(?P<azimuth_deg>-?[0-9.]+)\N{DEGREE SIGN} .*?"
+            r"^Bearing: +(?P<azimuth_deg>-?[0-9.]+)\N{DEGREE SIGN} (?:(?!Bearing:).)*?"
             r"conf(?:idence)?: (?P<quality>[0-9.]+)"
         ),
         form(

@@ -23,9 +23,12 @@ from companion.radios.fields import complain_of_spans, number
 from companion.radios.line_forms import FormDecoder, form
 
 _MAC = "[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
-_EMITTER = f"(?P<emitter>{_MAC})"
+_EMITTER = f"(?P<emitter>{_MAC})(?![\\w:-])"
+_TO = f"(?:(?!{_MAC}).)*?"
+"""Rest of a line up to its other field: never the beginning of the next line, which follows at once
+where bytes were lost."""
 _BLOCK = f"(?P<block>{_MAC})"
-_NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,]?[0-9])"
+_NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,:]?[0-9])"
 _DBM = rf"(?P<power_dbm>{_NUMBER})"
 LEAST_DBM = -114.0
 """Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have an address;
@@ -64,11 +67,11 @@ class PowerScanDecoder(FormDecoder):
             rf"\[(?:CHG|NEW)\] Device {_EMITTER} RSSI: (?:is )?(?:0x[0-9a-fA-F]{{8}} \()?{_DBM}\)?$"
         ),
         form(r"^\s*RSSI: (?:0x[0-9a-fA-F]{8} \()?(?P<power_dbm>-[0-9]{1,3})\)?\s*$"),
-        form(rf"(?:Device found|\[DEVICE\]): {_EMITTER} .*?RSSI {_DBM}"),
-        form(rf"PACKET TYPE=\w+, CHAN=[0-9]+, RSSI={_DBM},.*?\bADDR2={_EMITTER}"),
-        form(rf"{_DBM}dBm signal .*?\b(?:SA|TA):{_EMITTER}"),
+        form(rf"(?:Device found|\[DEVICE\]): {_EMITTER} {_TO}RSSI {_DBM}"),
+        form(rf"PACKET TYPE=\w+, CHAN=[0-9]+, RSSI={_DBM},(?:(?!RSSI=).)*?\bADDR2={_EMITTER}"),
+        form(rf"{_DBM}dBm signal (?:(?!dBm signal).)*?\b(?:SA|TA):{_EMITTER}"),
         form(r"dBm signal ", "frame without the sender's address: tcpdump -e prints it"),
-        form(rf"\bAddress: {_EMITTER}.*?\b(?:rssi|RSSI): {_DBM}"),
+        form(rf"\bAddress: {_EMITTER}{_TO}\b(?:rssi|RSSI): {_DBM}"),
         form(rf"^{_EMITTER}\t[0-9]{{4,5}}\t{_DBM}\t"),
         form(rf"\bwith RSSI {_DBM}"),
         form(rf"^\[\w+\] RSSI:\s+{_DBM} dBm$"),
@@ -81,6 +84,8 @@ class PowerScanDecoder(FormDecoder):
         re.IGNORECASE,
     )
     _ADDRESS = re.compile(rf"(?<![\w:-]){_MAC}(?![\w:-])")
+    _BEGINNING = re.compile(rf"(?:(?<=[A-Za-z_])|(?<=[^0-9A-Za-z]-)){_MAC}(?![\w:-])")
+    """Address that follows a letter or a minus at once, where a line was torn into the next."""
     _GATEWAY = re.compile(r'"(?:rxpk|rxInfo|rx_metadata)":')
     _AGE = re.compile(r"^\s*last seen: (?P<age_ms>[0-9]{1,9}) ms ago")
 
@@ -124,7 +129,7 @@ class PowerScanDecoder(FormDecoder):
             return super().passed_over(line) if self._device is None else self.no_reading()
         if self._GATEWAY.search(line):
             return self.refused("packets of a LoRa gateway: lora_gateway reads them")
-        addresses = set(self._ADDRESS.findall(line))
+        addresses = {*self._ADDRESS.findall(line), *self._BEGINNING.findall(line)}
         levels = {found["power_dbm"] or found["dbm"] for found in self._LEVEL.finditer(line)}
         if len(addresses) > 1 or len(levels) > 1:
             what = "addresses" if len(addresses) > 1 else "powers"

@@ -236,7 +236,8 @@ class Sx1280Decoder(FieldDecoder):
         after = dict(pairwise(cells))
         register = after.get("RAW", after.get("Register", ""))
         printed = number(after.get("Distance", "").removesuffix("m"))
-        if not re.fullmatch(r"[0-9A-Fa-f]{1,6}", register) or printed is None:
+        is_whole = "." in after.get("Distance", "")  # printed with one decimal
+        if not re.fullmatch(r"[0-9A-Fa-f]{1,6}", register) or printed is None or not is_whole:
             return self.refused("torn line")
         raw, power_dbm = int(register, 16), dbm(after.get("RSSI", "").removesuffix("dBm"))
         if self.options.bandwidth_khz is not None:

@@ -301,7 +301,7 @@ class AndroidRttDecoder(FieldDecoder):
     Options = AndroidRttOptions
     options: AndroidRttOptions
     _RESULT = re.compile(r"RangingResult: \[(?=status=)")
-    _VALUE = re.compile(r"(\w{3,32})=([^,\[\]]*)")
+    _VALUE = re.compile(r"(\w{3,32})=([^,\[\]]*)(?=[,\]])")
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)

@@ -62,10 +62,22 @@ def test_a_range_loses_offset_and_scale_and_its_sigma_the_scale() -> None:
     assert measurement.range_sigma_m == 0.4
 
 
-@pytest.mark.parametrize("name", ["AA:BB:CC:00:11:22", "aa:bb:cc:00:11:22", "aa-bb-cc-00-11-22"])
-def test_a_mac_is_found_in_any_spelling(name: str) -> None:
-    stage = stage_of(emitters={"aa:bb:CC:00:11:22": 3})
-    assert one(stage, replace(READING, emitter=name)).emitter_id == 3
+@pytest.mark.parametrize(
+    ("listed", "printed"),
+    [
+        ("aa:bb:CC:00:11:22", "AA:BB:CC:00:11:22"),
+        ("aa:bb:CC:00:11:22", "aa-bb-cc-00-11-22"),
+        ("CC:F9:57:8E:0D:8A", "CCF9578E0D8A"),
+        ("ccf9578e0d8a", "CC:F9:57:8E:0D:8A"),
+        ("CCF9.578E.0D8A", "CCF9578E0D8A"),
+        ("00:11:22:33:44:55", "001122334455"),
+        ("11:22:33:44:55:16", "112233445516"),
+        ("70-B3-D5-7E-D0-00-00-01", "70b3d57ed0000001"),
+    ],
+)
+def test_a_mac_is_found_in_any_notation(listed: str, printed: str) -> None:
+    stage = stage_of(emitters={listed: 3}, unnamed="refuse")
+    assert one(stage, replace(READING, emitter=printed)).emitter_id == 3
 
 
 @pytest.mark.parametrize(("emitter", "number"), [("7", 70), (7, 70), (0x11, 170), ("Tag", 1)])

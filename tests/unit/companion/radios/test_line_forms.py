@@ -64,6 +64,22 @@ def test_several_of_one_line_are_all_read() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "torn", "whole"),
+    [
+        ("ryuw122", "+ANCHOR_RCV=DAVID123,5,", "+ANCHOR_RCV=DAVID124,5,HELLO,90 cm,-60"),
+        ("ryuw122", "+ANCHOR_RCV=DAVID123,5,HEL", "+ANCHOR_RCV=DAVID124,5,HELLO,90 cm,-60"),
+        (
+            "doppler",
+            "Bearing:  120.4\N{DEGREE SIGN} (ra",
+            "Bearing:   45.2\N{DEGREE SIGN} (raw:   44.8\N{DEGREE SIGN}) confidence: 0.91",
+        ),
+    ],
+)
+def test_a_torn_line_takes_no_value_of_the_next_one(name: str, torn: str, whole: str) -> None:
+    assert read(decoder_of(name), torn + whole) in ([], read(decoder_of(name), whole))
+
+
+@pytest.mark.parametrize(
     ("name", "line", "reason"),
     [
         ("ryuw122", "+TAG_RCV=4,PING", "a tag measures no distance"),

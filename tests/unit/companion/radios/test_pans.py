@@ -65,6 +65,8 @@ def test_a_line_tells_a_range_an_anchor_and_nothing_of_the_own_place(
         FOUR + ",1",
         FOUR.replace("3.44", "3.4.4"),
         BRACKETS.replace("]=7.73", "]="),
+        BRACKETS[: BRACKETS.index("]=9.01") + 3],
+        *(THREE[:end] for end in range(THREE.index(",POS") - 3, THREE.index(",POS"))),
     ],
 )
 def test_a_torn_line_is_refused_whole(line: str) -> None:

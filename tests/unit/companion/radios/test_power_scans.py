@@ -55,6 +55,27 @@ def test_a_power_is_of_the_device_of_its_line_or_block(text: str, power_dbm: flo
     assert scanned(text) == ([(MAC, power_dbm)], [])
 
 
+@pytest.mark.parametrize(
+    "whole",
+    [
+        "Device found: {} (random) (RSSI -61), type 0, AD data len 29\n",
+        "[DEVICE]: {} (random), AD evt type 0, AD data len 29, RSSI -61\n",
+        "PACKET TYPE=MGMT, CHAN=06, RSSI=-61, ADDR1=ff:ff:ff:ff:ff:ff, ADDR2={}\n",
+        "-61dBm signal -95dBm noise antenna 0 DA:ff:ff:ff:ff:ff:ff SA:{} Probe (x)\n",
+        "Advertised Device: Name: , Address: {}, txPower: -59, rssi: -61 \n",
+        "[CHG] Device {} RSSI: -61\n",
+        "{}\t2437\t-61\t[WPA2-PSK-CCMP][ESS]\thome\n",
+        "{} rssi=-61\n",
+    ],
+)
+def test_a_line_torn_into_the_next_gives_no_device_the_power_of_another(whole: str) -> None:
+    other = "c4:7c:8d:00:00:02"
+    torn, after = whole.format(other).replace("-61", "-40"), whole.format(MAC)
+    allowed = {(MAC, -61.0), (other, -40.0), (other, -4.0)}  # a torn number is a shorter one
+    for length in range(len(torn)):
+        assert set(scanned(torn[:length] + after)[0]) <= allowed, torn[:length]
+
+
 def test_the_age_of_a_result_is_its_own() -> None:
     text = (
         f"BSS {MAC}(on wlan0)\n\tsignal: -64.00 dBm\n\tlast seen: 120 ms ago\n"

@@ -173,6 +173,7 @@ def test_with_the_bandwidth_the_register_is_read_and_may_be_negative(
         ("[SX1280] Ranging ... failed, code -7", "failed"),
         (SX12XX.replace("RAW,47", "RAW,FFFFB9"), "below zero: set bandwidth_khz"),
         (SX12XX.replace("RAW,47", "RAW,4G"), "torn line"),
+        (SX12XX[: SX12XX.index(".2m")], "torn line"),
     ],
 )
 def test_ranging_that_failed_is_counted_by_reason(line: str, reason: str) -> None:

@@ -210,6 +210,12 @@ def printed(**changed: object) -> str:
     return "RangingResult: [" + ", ".join(f"{key}={value}" for key, value in values.items()) + "]"
 
 
+def test_a_result_torn_in_its_distance_is_no_shorter_one() -> None:
+    torn = printed().partition("30, distanceStdDevMm")[0]
+
+    assert AndroidRttDecoder().feed(f"{torn}\n".encode(), 0.0) == []
+
+
 def test_results_in_a_log_are_millimetres_of_each_access_point() -> None:
     other = printed(mac="aa:bb:cc:00:00:02", distanceMm=-310, distanceStdDevMm=0)
     decoder = AndroidRttDecoder()
