@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
+from companion.config import advice
 from companion.errors import ConfigError
 
 T = TypeVar("T")
@@ -29,8 +30,6 @@ SMALLEST = 1e-12
 infinite."""
 MAX_PROBLEMS = 20
 """Largest number of lines in an error."""
-SHOWN = 20
-"""Characters of a value that an error repeats."""
 MAX_BYTES = 100_000
 """Largest size of a file, nine times that of the longest one here; a larger one is another kind of
 file, or an attack: a megabyte takes six seconds to read."""
@@ -47,6 +46,12 @@ _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
+
+
+_READ_AS_OTHERS = {
+    f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "bool", "null", "timestamp")
+}
+"""Tags of keys that YAML does not read as text."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -68,17 +73,21 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(
         self, node: yaml.MappingNode, deep: bool = False
     ) -> dict[Hashable, object]:
-        """Return the mapping of a node, as the safe loader does, and refuse a repeated key."""
-        seen: set[tuple[str, str]] = set()
+        """Return the mapping of a node, as the safe loader does, and refuse a repeated key.
+
+        Keys are text as written: `0012`, `1E23`, `0x1a2b` or `no` may name an emitter.
+        """
+        seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 continue
-            name = (key.tag, key.value)
-            if name in seen:
+            if key.value in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key `{key.value}` is given twice", key.start_mark
                 )
-            seen.add(name)
+            seen.add(key.value)
+            if key.tag in _READ_AS_OTHERS:
+                key.tag = "tag:yaml.org,2002:str"
         return super().construct_mapping(node, deep)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
@@ -93,7 +102,9 @@ class _Loader(yaml.SafeLoader):
             problem = "would be read in base sixty; give one number, or a text in quotes"
         except ValueError:
             pass
-        shown = node.value if len(node.value) <= SHOWN else f"{node.value[:SHOWN]}..."
+        shown = (
+            node.value if len(node.value) <= advice.SHOWN else f"{node.value[: advice.SHOWN]}..."
+        )
         raise yaml.constructor.ConstructorError(
             None, None, f"the number `{shown}` {problem}", node.start_mark
         )
@@ -191,7 +202,7 @@ def _convert(raw: object, kind: type[T]) -> T | _Problem:
     try:
         return msgspec.convert(raw, kind, strict=True)
     except msgspec.ValidationError as error:
-        return _located(str(error))
+        return _located(str(error), raw, kind)
     except OverflowError:
         return _Problem("$", "a number is too large")
     except RecursionError:
@@ -234,22 +245,23 @@ def _parse(text: str, name: str) -> object:
         raise ConfigError(f"{name}: {_one_line(str(error))}") from None
 
 
-def _located(text: str) -> _Problem:
-    """Return path and problem of msgspec's message `problem - at `$.path``."""
+def _located(text: str, raw: object, kind: type) -> _Problem:
+    """Return path and problem of msgspec's message `problem - at `$.path``, with advice."""
     path = "$"
     match = _MSGSPEC_PATH.match(text)
     if match:
         text, path = match["problem"], match["path"]
     unknown, missing = _UNKNOWN_KEY.match(text), _MISSING_KEY.match(text)
     if unknown:
-        problem = "unknown key; check its spelling and indentation"
+        problem = advice.on_unknown_key(kind, path, unknown["key"])
         return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
     if missing:
         return _Problem(f"{path}.{missing['key']}", "required key is missing")
     named = _NAMED_KEY.match(text)  # a record's own error about one of its keys
     if named:
         return _Problem(f"{path}.{named['key']}", _one_line(named["problem"]))
-    return _Problem(path, _one_line(text))
+    problem = advice.on_wrong_value(kind, path, text, advice.value_at(raw, path))
+    return _Problem(path, _one_line(problem))
 
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:

@@ -37,7 +37,7 @@ _TOKEN = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _MESSAGE = re.compile(r"^(?P<path>\$[^:]*): (?P<problem>.*)$", re.DOTALL)
 _STEP = re.compile(r"^\$\.steps\[\d+\]$")
 _UNKNOWN_STEP = re.compile(r"^\$\.steps\[\d+\]\.(?P<name>[^.\[\]]+)$")
-_CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*)'$")
+_CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*?)'(?:; there are .*)?$")
 
 STEPS = (*STEP_KINDS, "inject")
 ONE_LINE = "must be one line"

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import pytest
@@ -28,6 +28,8 @@ class Settings(Params, frozen=True):
     fence_m: tuple[tuple[float, float], ...] = ()
     zones: tuple[FilterParams, ...] = ()
     name: str = "flight"
+    order: Literal["first", "nearest"] = "first"
+    ids: dict[str, int] = msgspec.field(default_factory=dict)
 
 
 class Named(Params, frozen=True):
@@ -74,7 +76,14 @@ def test_a_power_of_ten_is_a_number_with_or_without_a_point(text: str) -> None:
         ("just words", "$", "got text"),
         ("3", "$", "got `3`"),
         ("1: 2", "$.1", "unknown key"),
-        ("filter: {true: 2}", "$.filter.True", "unknown key"),
+        ("filter: {true: 2}", "$.filter.true", "unknown key"),
+        ("filter: {rang_sigma_m: 2}", "$.filter.rang_sigma_m", "did you mean range_sigma_m?"),
+        ("fliter: {}", "$.fliter", "did you mean filter?"),
+        ("zones: [{Window: 2}]", "$.zones[0].Window", "did you mean window?"),
+        ("window: 2", "$.window", "it belongs into filter"),
+        ("filter: {\u00a0window: 2}", "$.filter.", "a space that is none"),
+        ("order: frist", "$.order", "'frist'; there are first, nearest"),
+        ("filter: {low_m: '1,5'}", "$.filter.low_m", "got `str`: 1,5"),
     ],
 )
 def test_a_wrong_value_is_named_by_file_and_path_in_one_line(
@@ -97,6 +106,17 @@ def test_a_missing_required_key_is_named() -> None:
 def test_a_key_given_twice_is_refused_with_its_line() -> None:
     with pytest.raises(ConfigError, match=r"line 3, column 1: the key `name` is given twice"):
         parse_yaml("name: a\nfilter: {}\nname: b\n", Settings, "a.yaml")
+
+
+def test_a_key_is_text_as_it_is_written() -> None:
+    text = "ids: {0012: 1, 1E23: 2, 0x1a2b: 3, no: 4, 11:22:33:44:55:16: 5, 7: 6}"
+    names = ["0012", "1E23", "0x1a2b", "no", "11:22:33:44:55:16", "7"]
+    assert parse_yaml(text, Settings, "a.yaml").ids == dict(zip(names, range(1, 7), strict=True))
+
+
+def test_a_key_given_twice_in_two_notations_of_text_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"the key `7` is given twice"):
+        parse_yaml("ids: {7: 1, '7': 2}", Settings, "a.yaml")
 
 
 def test_an_alias_may_be_used_more_than_once() -> None:
@@ -198,13 +218,13 @@ name: [1]
         parse_yaml(text, Settings, "site.yaml")
     lines = str(caught.value).splitlines()
     assert [line.split(": ")[:2] for line in lines] == [
-        ["site.yaml", "$.3"],
         ["site.yaml", "$.fence_m[0][1]"],
         ["site.yaml", "$.filter.range_sigma_m"],
         ["site.yaml", "$.filter.windo"],
         ["site.yaml", "$.filter.window"],
         ["site.yaml", "$.zones[0]"],
         ["site.yaml", "$.colour"],
+        ["site.yaml", "$.3"],
         ["site.yaml", "$.name"],
     ]
 

@@ -71,7 +71,7 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
     site.write_text("mission: {altitud_m: 3}")
     assert main(["config", "show", "--config", str(site)]) == EXIT_BAD_INPUT
     assert capsys.readouterr().err == (
-        f"companion: {site}: $.mission.altitud_m: unknown key; check its spelling and indentation\n"
+        f"companion: {site}: $.mission.altitud_m: unknown key; did you mean altitude_m?\n"
     )
 
 
