@@ -34,7 +34,7 @@ from companion.config.area_files import read_fence
 from companion.config.loader import parse_value, preset_named, preset_names, read_text, shipped_file
 from companion.config.radios import parse_radio_option
 from companion.config.schema import CompanionConfig, load_config
-from companion.config.versions import KEY, SCHEMA_VERSION
+from companion.config.versions import KEY, SCHEMA_VERSION, renew
 from companion.doctor.examination import exit_code, run_doctor
 from companion.doctor.findings import CheckResult, as_lines, fail
 from companion.errors import CompanionError, ConfigError
@@ -298,8 +298,11 @@ def site_contents(choices: Choices) -> dict[str, bytes]:
     raw: dict[str, Any] = {KEY: SCHEMA_VERSION}
     if choices.preset is not None:
         preset = preset_named(choices.preset)
-        found = parse_value(read_text(preset), str(preset))
-        raw.update(found if isinstance(found, dict) else {})
+        found = parse_value(read_text(preset), str(preset)) or {}
+        if not isinstance(found, dict):
+            raise ConfigError(f"{preset}: $: expected `key: value` lines")
+        renew(found, str(preset))
+        raw.update(found)
     contents: dict[str, bytes] = {}
     if choices.radio is not None:
         radio = parse_radio_option(choices.radio)

@@ -172,6 +172,24 @@ def test_what_goes_wrong_after_writing_leaves_the_files_and_the_advice(
     assert "undo: companion setup --remove" in out
 
 
+def test_a_preset_of_schema_1_is_written_with_the_present_keys(tmp_path: Path) -> None:
+    preset, etc = tmp_path / "own.yaml", tmp_path / "etc"
+    preset.write_text("emitter_id: 3\n")
+
+    assert setup(etc, "--connect", SERIAL, "--preset", str(preset)) == 0
+    assert load_config(etc / "companion.yaml").emitters.listed == (3,)
+
+
+def test_a_preset_without_keys_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = tmp_path / "own.yaml"
+    preset.write_text("- mission\n")
+
+    assert setup(tmp_path / "etc", "--connect", SERIAL, "--preset", str(preset)) == EXIT_BAD_INPUT
+    assert f"companion: {preset}: $: expected `key: value` lines" in capsys.readouterr().err
+
+
 def test_a_preset_that_is_wrong_is_named_without_the_folder_it_was_tried_in(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
