@@ -1,4 +1,4 @@
-"""What holds for every test.
+"""Environment and fixtures of every test.
 
 Kernels run as the vehicle runs them, as plain Python: what is compiled is the same source
 (`tests/oracle/test_kernels_compiled.py` compares the two in processes of their own). Checkpoints
@@ -65,7 +65,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """How many workers `-n auto` starts."""
+    """Return the number of workers that `-n auto` starts."""
     return (os.cpu_count() or 1) + 1
 
 

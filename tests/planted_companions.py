@@ -66,7 +66,7 @@ class Planted(CompanionEndpoint):
         super().handle_timer(now_s)
 
     def take_output(self) -> list[Chunk]:
-        """What the genuine one sends, spoilt."""
+        """Return the genuine companion's output, spoilt."""
         return [
             chunk._replace(data=data)
             for chunk in super().take_output()
@@ -82,11 +82,11 @@ class Planted(CompanionEndpoint):
         return frames
 
     def _spoil(self, frame: bytes) -> list[bytes]:
-        """What is sent in place of a setpoint."""
+        """Return the frames sent in place of a setpoint."""
         return [frame]
 
     def _spoil_other(self, frame: bytes) -> list[bytes]:
-        """What is sent in place of any other frame."""
+        """Return the frames sent in place of any other frame."""
         return [frame]
 
     @property
@@ -159,7 +159,7 @@ class KeepsFlying(Planted):
     invariant = "I3"
 
     def take_output(self) -> list[Chunk]:
-        """The last setpoint with every heartbeat, whoever flies."""
+        """Return the output with the last setpoint after every heartbeat, in any mode."""
         chunks = super().take_output()
         if self._last is None or self._is_flying:
             return chunks
@@ -275,7 +275,7 @@ class SendsInBackground(Planted):
         return math.inf if self._now_s > self.DIES_S else super().next_timer_s()
 
     def take_output(self) -> list[Chunk]:
-        """The last setpoint, although nobody decided it."""
+        """Return the last setpoint again, although no control tick decided it."""
         chunks = super().take_output()
         if self._now_s > self.DIES_S + 1.0 and self._last is not None:
             chunks.append(Chunk(0, self._last, self.binding.peer))
@@ -289,12 +289,12 @@ class BelievesAnybody(Planted):
     invariant = "I10"
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """As if it came from the bound peer."""
+        """Process a chunk as if it came from the bound peer."""
         super().receive(chunk._replace(peer=self.binding.peer or chunk.peer), now_s)
 
 
 class FollowsTheNextPeer(Planted):
-    """After a silence it follows the first address with the vehicle's ids, whatever that shows."""
+    """After a silence it follows the first address with the vehicle's ids, without a check."""
 
     invariant = "I10"
 
@@ -308,7 +308,7 @@ class FollowsTheNextPeer(Planted):
 
 
 class Chatters(Planted):
-    """It tells the operator everything, many times."""
+    """It announces everything to the operator many times."""
 
     invariant = "I11"
 
@@ -318,7 +318,7 @@ class Chatters(Planted):
 
 
 class RepeatsItself(Planted):
-    """It tells the operator the same with another figure every five seconds."""
+    """It announces the same with another figure every five seconds."""
 
     invariant = "I13"
     _said_s = 0.0
@@ -366,7 +366,7 @@ class NeverReadsAgain(Planted):
 
 
 class HasMoods(Planted):
-    """What it sends depends on more than its input."""
+    """Its output depends on more than its input."""
 
     invariant = "I12"
 
@@ -404,5 +404,5 @@ DEFECTS: tuple[type[Planted], ...] = (
 
 
 def maker(defect: type[Planted]) -> MakeCompanion:
-    """How a flight starts the companion with this bug."""
+    """Return the function by which a flight starts the companion with this bug."""
     return defect

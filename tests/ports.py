@@ -22,7 +22,7 @@ _reservations: list[int] = []
 
 
 def free_port() -> int:
-    """A port that nobody has, neither UDP nor TCP, and that no other test takes."""
+    """Return a port that is free for UDP and TCP, and that no other test takes."""
     for _ in range(_END - _FIRST):
         port = _dice.randrange(_FIRST, _END)
         if _reserve(port) and _is_free(port):

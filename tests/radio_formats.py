@@ -1,4 +1,4 @@
-"""Each emulated radio beside the decoder that reads it, and how finely its format tells."""
+"""Each emulated radio beside the decoder that reads it, and the resolution of its format."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CELLS = ("srsran_4g", "srsran", "oai")
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """What is left of a measurement in the bytes of a radio."""
+    """Fields and resolution of a measurement in the bytes of a radio."""
 
     name: str
     """Of the emulator."""
@@ -53,7 +53,7 @@ class Format:
         return self.kind.name_on_wire(1) == ""
 
     def settings(self, emitter_id: int, **others: object) -> RadioSettings:
-        """As the radio's kind has them, with the emitter's name."""
+        """Return the settings of the radio's kind, with the emitter's name."""
         given: dict[str, Any] = dict(radio_kind(self.radio).defaults)
         if self.names_nobody:
             given["emitter"] = emitter_id
@@ -73,7 +73,7 @@ class Format:
         return RadioSetup(kind, self.settings(emitter_id, **others), options)
 
     def azimuth_step_deg(self, range_m: float) -> float:
-        """Of a radio that says coordinates in centimetres it depends on the range."""
+        """Return the azimuth's step; coordinates in centimetres make it depend on the range."""
         if self.name == "pdoa_js":
             return math.degrees(0.75 / (100.0 * range_m))
         assert self.azimuth_deg is not None

@@ -24,7 +24,7 @@ FILTERPY = "tests.oracle.filterpy_ekf"
 
 
 def filters() -> dict[str, MakeFilter]:
-    """All filters, the third-party one where it is there."""
+    """Return all filters, the third-party one if it is installed."""
     makers: dict[str, MakeFilter] = dict(RECURSIVE)
     if importlib.util.find_spec("filterpy"):
         makers["filterpy"] = importlib.import_module(FILTERPY).FilterpyEkf
@@ -35,7 +35,7 @@ FILTERS = filters()
 ROBUST = ["huber", "asymmetric_huber", "admm"]
 ONE_SIDED = ["asymmetric_huber", "admm"]
 OF_FILTERPY = pytest.mark.filterwarnings("ignore:An ill-conditioned matrix detected")
-"""What scipy says of the inverse that filterpy takes; its promises hold none the less."""
+"""Scipy's warning on the inverse that filterpy takes; its promises hold none the less."""
 SPACE = FilterParams(target_height_m=3.0, target_height_sigma_m=4.0)
 BOUNDED = FilterParams(
     range_offset_min_m=0.0,
@@ -92,7 +92,7 @@ def seen_at(
 def expected_by(
     state: FilterState, position: PositionEnu, params: FilterParams, error: Vector | None = None
 ) -> RangingMeasurement:
-    """What the state itself predicts, with an error on top."""
+    """Return the measurement that a state predicts, plus an error."""
     z = predicted(state.mean, np.array(position), params.model) + (0.0 if error is None else error)
     bearing_rad = math.remainder(float(z[1]), 2.0 * math.pi)
     return seen_at(state.time_s, float(z[0]), bearing_rad, float(z[2]))

@@ -65,7 +65,7 @@ def make_message(name: str, fields: Fields) -> Message:
 
 
 def fits(seen: object, wanted: object) -> bool:
-    """Whether a field is as expected."""
+    """Return True if a field is as expected."""
     wanted = value_of(wanted)
     if isinstance(wanted, str):
         return re.fullmatch(wanted, str(seen)) is not None
@@ -83,12 +83,12 @@ def fits(seen: object, wanted: object) -> bool:
 
 @dataclass
 class View:
-    """What a step looks at."""
+    """Messages and state that a step compares."""
 
     client: tuple[str, int]
     of: tuple[int, int]
     mark: int = 0
-    """How much that client had heard when the step began."""
+    """Number of messages that the client had received when the step began."""
     began_s: float = 0.0
 
 

@@ -1,4 +1,4 @@
-"""An example of what each built-in radio sends, and what its decoder must be told for it.
+"""An example of each built-in radio's bytes, and the settings that its decoder needs for it.
 
 `python -m tests.contract.radio_streams NAME` writes the readings of NAME's stream beside it: read
 them, as they are what the contract asks for from then on.
@@ -24,8 +24,8 @@ OPTIONS: dict[str, Params] = {
 }
 """Of radios that are nothing without."""
 CHECKSUMMED = {"nlink"}
-TELLS_NEW_FROM_OLD = {"kraken", "kraken_xml", "kraken_ws", "pans_tlv"}
-"""Polled: they say the same again until there is something new."""
+DISCERNS_REPEATS = {"kraken", "kraken_xml", "kraken_ws", "pans_tlv"}
+"""Polled radios, which repeat a measurement until there is a new one."""
 
 
 if __name__ == "__main__":

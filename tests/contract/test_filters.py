@@ -1,4 +1,4 @@
-"""What every filter of the target's position promises, whatever it is inside."""
+"""Promises of every filter of the target's position, whatever its method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every filter promises of measurements that come late."""
+"""Promises of every filter about measurements that come late."""
 
 from __future__ import annotations
 

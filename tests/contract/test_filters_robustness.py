@@ -1,4 +1,4 @@
-"""What robust filters promise beyond the others, and when they are the same as them."""
+"""Promises of robust filters beyond the others, and cases in which they equal them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every filter promises of bounds, and of a target at another height."""
+"""Promises of every filter about bounds, and about a target at another height."""
 
 from __future__ import annotations
 

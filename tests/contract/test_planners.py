@@ -1,4 +1,4 @@
-"""What every planner promises, whatever it has in mind."""
+"""Promises of every planner, whatever its memory."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def stars(draw: st.DrawFn, least_m: float, most_m: float) -> tuple[Point, ...]:
 
 @dataclass(frozen=True)
 class Ground:
-    """What limits a flight."""
+    """Fence, keep-outs and other limits of a flight."""
 
     fence: tuple[Point, ...]
     margin_m: float
@@ -239,7 +239,7 @@ def test_every_waypoint_and_every_leg_keeps_the_margin(
 
 
 def _check_leg(ground: Ground, begin: Point, waypoint: Waypoint) -> None:
-    """From free space the leg never leaves it; from elsewhere it is the shortest way back.
+    """Assert that a leg stays in free space, or is the shortest way back to it.
 
     Where two borders meet at a slender angle a micrometre of margin moves the corner by many, so
     the shortest way is held between those of a little more and a little less free space.

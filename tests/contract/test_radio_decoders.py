@@ -1,4 +1,4 @@
-"""What every built-in radio's decoder must hold."""
+"""Requirements on the decoder of every built-in radio."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from companion.radios.decoder import BUILT_IN, radio_kind
 from companion.testing.radio_contract import check_radio
-from tests.contract.radio_streams import CHECKSUMMED, OPTIONS, STREAMS, TELLS_NEW_FROM_OLD
+from tests.contract.radio_streams import CHECKSUMMED, DISCERNS_REPEATS, OPTIONS, STREAMS
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -17,5 +17,5 @@ def test_a_built_in_radio_holds_the_contract(name: str) -> None:
         STREAMS / f"{name}.jsonl",
         options=OPTIONS.get(name),
         has_checksum=name in CHECKSUMMED,
-        repeats=name not in TELLS_NEW_FROM_OLD,
+        repeats=name not in DISCERNS_REPEATS,
     )

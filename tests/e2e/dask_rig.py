@@ -20,7 +20,7 @@ Process = subprocess.Popen[str]
 
 @dataclass(frozen=True, slots=True)
 class DaskCluster:
-    """Who listens, and who works."""
+    """Address of a scheduler, and the processes of its workers."""
 
     url: str
     workers: list[Process]
@@ -72,7 +72,7 @@ def dask_cluster(folder: Path, workers: int, **environment: str) -> Iterator[Das
 
 
 def _address(path: Path) -> str | None:
-    """Where a scheduler serves, once its file is there and whole."""
+    """Return the address of a scheduler once its file is complete."""
     try:
         address: str = json.loads(path.read_text())["address"]
     except (OSError, json.JSONDecodeError):

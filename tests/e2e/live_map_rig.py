@@ -60,7 +60,7 @@ class LiveFlight:
     begun: threading.Event = field(default_factory=threading.Event)
     ended: threading.Event = field(default_factory=threading.Event)
     wishes: SimpleQueue[Callable[[], None]] = field(default_factory=SimpleQueue)
-    """What a test wants done; by the flight's thread, since its parts are for one thread only."""
+    """Calls that a test requests of the flight's thread, as its parts are for one thread only."""
 
     def fly(self) -> None:
         """Fly on at its speed until the test is over."""
@@ -83,13 +83,13 @@ class LiveFlight:
 
     @property
     def has_estimate(self) -> bool:
-        """Whether the companion has an idea where the emitter is."""
+        """True once the companion has an estimate."""
         companion = self.flight.companion
         return companion is not None and companion.session.estimate is not None
 
     @property
     def vehicle_enu_m(self) -> tuple[float, float, float]:
-        """Where the vehicle truly is."""
+        """True position of the vehicle."""
         return self.flight.sim.vehicle.body.position_enu_m
 
 
@@ -133,7 +133,7 @@ def chromium() -> Iterator[Browser]:
 
 
 def box_of(page: Page, what: str) -> tuple[float, float, float, float]:
-    """Left, top, width and height on the screen, pixels; the map draws anew with every picture."""
+    """Return left, top, width and height on the screen, pixels; every picture redraws the map."""
     give_up_s = time.monotonic() + PATIENCE_MS / 1000.0
     box = None
     while box is None:
@@ -163,7 +163,7 @@ class Watched:
         return math.hypot(*box_of(self.page, "path.ellipse")[2:])
 
     def r95_m(self) -> float:
-        """As the page says it."""
+        """Return R95 as the page shows it."""
         line = self.page.locator("#r95")
         expect(line).to_contain_text(re.compile(r"\d m"))
         found = re.search(r"[\d.]+(?= m)", line.inner_text())
@@ -191,12 +191,12 @@ def until(condition: Callable[[], bool], otherwise: str) -> None:
 
 
 def until_up(url: str) -> None:
-    """Wait until somebody answers there."""
+    """Wait until a server answers at an address."""
     until(lambda: is_up(url), f"nobody answers at {url}")
 
 
 def is_up(url: str) -> bool:
-    """Whether somebody answers."""
+    """Return True if a server answers."""
     try:
         status(url)
     except urllib.error.URLError:

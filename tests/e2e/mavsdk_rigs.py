@@ -30,7 +30,7 @@ class Client:
         self.param = ParamAsync(system)
 
     async def ask_for_streams(self) -> None:
-        """What MAVSDK's health and positions stand on: an ArduPilot sends none of it unasked."""
+        """Request the streams of MAVSDK's health and positions; an ArduPilot sends none unasked."""
         await self.telemetry.set_rate_health(2.0)
         await self.telemetry.set_rate_home(1.0)
         await self.telemetry.set_rate_position(10.0)
@@ -62,33 +62,33 @@ class Client:
 
 
 def is_in_air(state: Any) -> bool:
-    """Whether a landed state is IN_AIR."""
+    """Return True if a landed state is IN_AIR."""
     return bool(state == LandedState.IN_AIR)
 
 
 class Heard:
-    """What a subscription has told since it began, read in order."""
+    """Updates of a subscription since it began, read in order."""
 
     def __init__(self) -> None:
-        self._told: asyncio.Queue[Any] = asyncio.Queue()
+        self._updates: asyncio.Queue[Any] = asyncio.Queue()
 
     async def listen(self, updates: AsyncGenerator[Any, None]) -> None:
         """Keep every update."""
         async with aclosing(updates):
             async for update in updates:
-                self._told.put_nowait(update)
+                self._updates.put_nowait(update)
 
     async def until(self, condition: Callable[[Any], bool]) -> Any:
         """The next update that meets a condition."""
         async with asyncio.timeout(PATIENCE_S):
-            while not condition(update := await self._told.get()):
+            while not condition(update := await self._updates.get()):
                 pass
         return update
 
 
 @asynccontextmanager
 async def heard_from_now(updates: AsyncGenerator[Any, None]) -> AsyncIterator[Heard]:
-    """Listen from here on: what lasts a moment may be over before somebody asks for it.
+    """Subscribe from here on: a short state may be over before it is asked for.
 
     A generator of MAVSDK subscribes when it is first read.
     """

@@ -17,7 +17,7 @@ class Edit:
     behind: str = ""
     """A regular expression over lines; the file is made if there is none."""
     is_instead: bool = False
-    """Whether the text replaces the match."""
+    """True if the text replaces the match."""
 
     def apply(self, root: Path) -> None:
         """Change the file below `root`; AssertionError: the lines are not there."""

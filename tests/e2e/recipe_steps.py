@@ -1,4 +1,4 @@
-"""What a newcomer would type for each recipe of CONTRIBUTING.md: its steps as edits of files.
+"""Each recipe of CONTRIBUTING.md as a newcomer would follow it: its steps as edits of files.
 
 Every specimen is small but whole: it passes the contract of its kind and the tests of its own.
 """
@@ -36,8 +36,8 @@ class AcmeDecoder(LineDecoder):
         if not found:
             self.counts.resync_bytes += len(line)
             return []
-        body, tag, range_mm, told = found.groups()
-        if functools.reduce(operator.xor, body.encode()) != int(told, 16):
+        body, tag, range_mm, checksum = found.groups()
+        if functools.reduce(operator.xor, body.encode()) != int(checksum, 16):
             self.counts.bad_checksum += 1
             return []
         self.counts.frames += 1
@@ -140,9 +140,9 @@ RULE: Steps = {
         """SYS_STATUS.load is at most 1000, in tenths of a percent."""
         self.set_interval(mavlink.MAVLink_sys_status_message, 0.2)
         self.run(2.0)
-        told = [e.message for e in self.inbox if e.message.get_type() == "SYS_STATUS"]
-        require(bool(told), "SYS_STATUS did not come")
-        require(max(vars(each)["load"] for each in told) <= 1000, "more than all")
+        reports = [e.message for e in self.inbox if e.message.get_type() == "SYS_STATUS"]
+        require(bool(reports), "SYS_STATUS did not come")
+        require(max(vars(each)["load"] for each in reports) <= 1000, "more than all")
 ''',
             r"^class TelemetryRules(.*\n)+?    book = .*\n",
         ),
@@ -230,7 +230,7 @@ def test_a_loose_plug_is_told_once() -> None:
     watch = watch_of()
     for _ in range(3):
         watch.stage.receive(b"", 0.0)
-    assert told(watch, 0.0, 2.0) == ["radio said: lost 3 times: check its plug"]
+    assert announced(watch, 0.0, 2.0) == ["radio said: lost 3 times: check its plug"]
 """,
         ),
     ),
@@ -287,7 +287,7 @@ class Recipe:
 
     heading: str
     name: str
-    """What `NAME` stands for; the tests that run must speak of it."""
+    """Value of `NAME`; the tests that run must contain it."""
     steps: Steps
     mentions: frozenset[str] = frozenset()
     """Files that its steps name to be read, or for cases that the specimen is not."""

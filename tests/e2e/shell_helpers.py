@@ -1,4 +1,4 @@
-"""What the tests of the shell share: an endpoint that echoes, a world that waits, and time."""
+"""Helpers of the shell's tests: an endpoint that echoes, a world that waits, and time."""
 
 from __future__ import annotations
 
@@ -121,11 +121,11 @@ class TimeOfOurs(selectors.DefaultSelector):
         self.now_s = 0.0
 
     def monotonic(self) -> float:
-        """In place of `time.monotonic`."""
+        """Return the invented time, in place of `time.monotonic`."""
         return self.now_s
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """What is there already, or the time has come."""
+        """Return what is ready; otherwise let the timeout pass."""
         ready = super().select(0.0)
         if not ready and timeout is not None:
             self.now_s += max(0.0, timeout)

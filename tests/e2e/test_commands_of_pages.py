@@ -23,12 +23,12 @@ MISSION = "sim-link mission run configs/missions/canonical.yaml"
 FLOWN = ("companion demo --no-plot", "companion replay tests/data", MISSION)
 """Commands that take a while."""
 SERIAL = "/dev/ttyAMA0"
-"""Where pages have the autopilot; here it is missing."""
+"""Address of the autopilot on the pages; it is missing here."""
 PATIENCE_S = 300.0
 
 
 def commands_like(*beginnings: str) -> list[str]:
-    """All on the pages that begin so, each once."""
+    """Return all commands of the pages that begin with these words, each once."""
     found = {shlex.join(words) for page in PAGES for words in commands_of(page)}
     return sorted(text for text in found if text.startswith(beginnings))
 

@@ -66,8 +66,8 @@ class Bench:
 
     def end_of(self, trial: subprocess.Popen[str]) -> tuple[int, list[str], dict[str, Any]]:
         """Exit code, lines and report."""
-        told, _ = trial.communicate(timeout=PATIENCE_S)
-        return trial.returncode, told.splitlines(), json.loads(self.report.read_text())
+        output, _ = trial.communicate(timeout=PATIENCE_S)
+        return trial.returncode, output.splitlines(), json.loads(self.report.read_text())
 
 
 def lines_until(trial: subprocess.Popen[str], part: str) -> None:
@@ -89,7 +89,7 @@ def stored(bench: Bench) -> str:
 
 
 def assert_only_silent(report: dict[str, Any]) -> None:
-    """The silence is told, and nothing is left behind."""
+    """Assert that the silence is reported, and that nothing is left behind."""
     assert [text.partition(" after ")[0] for text in report["problems"]] == ["it fell silent"]
 
 

@@ -79,7 +79,7 @@ def commands(tmp_path: Path) -> Iterator[Commands]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
-    """What compiles once and is kept on disk must not count against the time of a flight."""
+    """Compile the kernels beforehand, so that it does not count against the time of a flight."""
     code = "from companion.run import compile_kernels; compile_kernels()"
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -182,7 +182,7 @@ def test_companion_survives_garbage_and_understands_the_next_heartbeat(commands:
 
 
 def answer_to(sender: socket.socket, frame: Callable[[], bytes], address: tuple[str, int]) -> bytes:
-    """Send anew until somebody answers: a socket that is full of garbage takes nothing in."""
+    """Send again until an answer comes: a socket that is full of garbage takes nothing in."""
     deadline = time.monotonic() + PATIENCE_S
     sender.settimeout(0.02)
     while time.monotonic() < deadline:

@@ -1,4 +1,4 @@
-"""Nothing that flies listens beyond this computer unless it is told to."""
+"""Nothing that flies listens beyond this computer unless it is configured to."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.ports import free_port
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="/proc tells who listens"),
+    pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="/proc lists the listeners"),
 ]
 PATIENCE_S = 60.0
 TCP_LISTEN = "0A"

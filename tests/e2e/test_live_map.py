@@ -118,7 +118,7 @@ def settled_scale(page: Page) -> float:
 
 
 def is_whole_fence_seen(page: Page) -> bool:
-    """Whether the fence is within the map from left to right."""
+    """Return True if the fence is within the map from left to right."""
     fence, seen = box_of(page, "path.fence"), box_of(page, ".search-map")
     return seen[0] < fence[0] and fence[0] + fence[2] < seen[0] + seen[2]
 

@@ -1,4 +1,4 @@
-"""Who gets at the live map: with and without the token, from other sites, and at its tiles."""
+"""Access to the live map and its tiles: with and without the token, and from other sites."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_requests_that_no_browser_follows_cost_no_memory(tmp_path: Path) -> None
 
 
 async def received(address: str) -> str:
-    """What a client gets that makes up a page's number and listens for two seconds."""
+    """Return all that a client with an invented page number receives in two seconds."""
     query = {
         "EIO": 4,
         "transport": "websocket",
@@ -121,10 +121,10 @@ def test_a_socket_without_a_page_tells_nothing_of_the_flight(tmp_path: Path) -> 
     with live_flight(tmp_path, settings):
         until_up(f"http://127.0.0.1:{settings.port}/")
         address = f"ws://127.0.0.1:{settings.port}/_nicegui_ws/socket.io/"
-        told = asyncio.run(received(address))
-        assert "R95" not in told
-        assert "vehicle" not in told
-        assert len(told) < 1000
+        text = asyncio.run(received(address))
+        assert "R95" not in text
+        assert "vehicle" not in text
+        assert len(text) < 1000
 
 
 @pytest.mark.slow

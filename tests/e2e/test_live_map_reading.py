@@ -1,4 +1,4 @@
-"""What a stranger reads on the live map: what to do next, the hand-off, and that in the sun."""
+"""Texts of the live map for a newcomer: the next step and the hand-off, readable in the sun."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def browser() -> Iterator[Browser]:
 
 
 def file_of(page: Page, label: str) -> bytes:
-    """What a button of the dialog saves."""
+    """Return the file that a button of the dialog saves."""
     with page.expect_download() as waiting:
         page.locator(f"#file-{label}").click()
     return waiting.value.path().read_bytes()
 
 
 def broken_rules(page: Page, within: str = "body") -> list[str]:
-    """What axe-core finds on the page as it is now, with an example of each."""
+    """Return the rules of axe-core that the page breaks now, with an example of each."""
     found = Axe().run(page, context=within, options=RULES).response["violations"]
     return [f"{rule['id']}: {rule['nodes'][0]['html'][:160]}" for rule in found]
 

@@ -26,7 +26,7 @@ from tests.e2e.live_map_rig import (
 pytestmark = [needs_chromium, pytest.mark.slow]
 SIZES = {"desk": DESK, "tablet": TABLET, "phone": PHONE, "phone across": PHONE_ACROSS}
 MOST_COVERED = 0.25
-"""Share of the map that the legend may cover before somebody opens it."""
+"""Share of the map that the legend may cover before it is opened."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What a flight leaves, read by the tools that people read it with."""
+"""The files of a flight, read by the usual tools for them."""
 
 from __future__ import annotations
 

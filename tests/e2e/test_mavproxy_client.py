@@ -63,7 +63,7 @@ def master_at(port: int) -> tuple[str, ...]:
 
 
 def overflowed(port: int) -> int:
-    """Datagrams that the system threw away since whoever has a port read too slowly."""
+    """Return the datagrams dropped by the system because the owner of a port reads too slowly."""
     rows = [row.split() for row in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return sum(int(row[-1]) for row in rows if int(row[1].partition(":")[2], 16) == port)
 
@@ -160,10 +160,10 @@ def hear_text(station: Any, wanted: str) -> None:
     """Read what the station has been sent, up to a STATUSTEXT with these words."""
     until_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < until_s:
-        told = station.recv_match(type="STATUSTEXT", blocking=True, timeout=PATIENCE_S)
-        if told is not None and wanted in told.text:
+        message = station.recv_match(type="STATUSTEXT", blocking=True, timeout=PATIENCE_S)
+        if message is not None and wanted in message.text:
             return
-    raise AssertionError(f"nobody told the station: {wanted}")
+    raise AssertionError(f"no text to the station: {wanted}")
 
 
 def listed_parameters(station: Any) -> dict[str, float]:
@@ -171,9 +171,9 @@ def listed_parameters(station: Any) -> dict[str, float]:
     station.mav.param_request_list_send(1, 191)
     values: dict[str, float] = {}
     while len(values) < len(TUNABLES):
-        told = station.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
-        assert told is not None
-        values[told.param_id] = told.param_value
+        message = station.recv_match(type="PARAM_VALUE", blocking=True, timeout=PATIENCE_S)
+        assert message is not None
+        values[message.param_id] = message.param_value
     return values
 
 

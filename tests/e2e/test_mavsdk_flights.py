@@ -72,7 +72,7 @@ def test_mavsdk_reads_and_sets_parameters_of_an_ardupilot() -> None:
 
 
 async def measure_a_rate(client: Client) -> None:
-    """By the vehicle's own clock: when this process hears of it is the machine's affair."""
+    """Measure a rate by the vehicle's own clock, on which this machine's load has no effect."""
     await client.get_ready()
     await client.telemetry.set_rate_attitude_euler(RATE_HZ)
     async with heard_from_now(client.telemetry.subscribe_attitude_euler()) as attitudes:
@@ -176,11 +176,11 @@ async def fly_a_mission(client: Client) -> None:
     await client.take_off()
     async with (
         heard_from_now(client.telemetry.subscribe_flight_mode()) as modes,
-        heard_from_now(mission.subscribe_mission_progress()) as told,
+        heard_from_now(mission.subscribe_mission_progress()) as updates,
     ):
         await mission.start_mission()
         await modes.until(lambda mode: mode == FlightMode.MISSION)
-        progress = await told.until(lambda done: done.current == done.total)
+        progress = await updates.until(lambda done: done.current == done.total)
     assert progress.total == 3
     assert await mission.is_mission_finished()
     await mission.clear_mission()
@@ -194,7 +194,7 @@ def test_mavsdk_uploads_flies_and_downloads_a_mission_of_a_px4() -> None:
 
 
 def raw_plan() -> list[RawItem]:
-    """ArduPilot's: item 0 is home, which MAVSDK's own mission format cannot tell."""
+    """Return a mission of ArduPilot: item 0 is home, which MAVSDK's own format does not have."""
     positions = ((0, 0.0, 0.0, 0.0), (3, 0.0001, 0.0, 8.0), (3, 0.0001, 0.0001, 10.0))
     return [
         RawItem(
@@ -224,11 +224,11 @@ async def fly_a_raw_mission(client: Client) -> None:
     await client.take_off()
     async with (
         heard_from_now(client.telemetry.subscribe_flight_mode()) as modes,
-        heard_from_now(mission.subscribe_mission_progress()) as told,
+        heard_from_now(mission.subscribe_mission_progress()) as updates,
     ):
         await mission.start_mission()
         await modes.until(lambda mode: mode == FlightMode.MISSION)
-        await told.until(lambda done: done.current >= done.total - 1)
+        await updates.until(lambda done: done.current >= done.total - 1)
     await mission.clear_mission()
     await client.action.land()
     await client.await_ground()

@@ -65,7 +65,7 @@ def test_a_hop_with_faults_of_link_vehicle_and_process(tmp_path: Path) -> None:
 
 
 def flown_on_a_vehicle_of_others(flavour: str, script: str, folder: Path) -> MissionResult:
-    """What becomes of a script on a vehicle that was there before, and has no radio."""
+    """Return the result of a script on a vehicle that ran before, without a radio."""
     path = folder / "foreign.yaml"
     path.write_text(f"autopilot: {{flavour: {flavour}}}\npayload: {{max_range_m: 0.001}}\n")
     port = free_port()

@@ -41,7 +41,7 @@ TO_OFFBOARD = {
         (f"takeoff {ALTITUDE_M:g}", "NAV_TAKEOFF: ACCEPTED"),
     ),
 }
-"""What the operator types, and what comes of it."""
+"""Command that the operator types, and its result."""
 
 
 class Block:
@@ -57,7 +57,7 @@ class Block:
         self.commands = {line[0].removeprefix(".venv/bin/"): line[1:] for line in lines}
 
     def at(self, port: int) -> str:
-        """What stands for an address of the page."""
+        """Return the text that replaces an address of the page."""
         return f"127.0.0.1:{self._ports[str(port)]}"
 
 
@@ -80,7 +80,7 @@ def running(directory: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]
 
 
 def hears_the_vehicle(address: str) -> bool:
-    """Whether a ground station behind the router is shown an autopilot."""
+    """Return True if a ground station behind the router receives the autopilot's HEARTBEAT."""
     connect: Any = mavutil.mavlink_connection
     station = connect(f"udpin:{address}", source_system=254)
     heard = [

@@ -115,7 +115,7 @@ class Companion:
 
 @pytest.fixture(autouse=True)
 def nobody_is_left() -> Iterator[None]:
-    """A test that fails half-way leaves no process behind, and nobody who waits for one."""
+    """End all processes of a test that fails half-way, and the threads that wait for them."""
     yield
     for companion in list(Companion.started):
         companion.close()
@@ -141,7 +141,7 @@ def wait_until(condition: Callable[[], bool], otherwise: str) -> None:
 
 
 def has_kept_a_belief(folder: Path) -> bool:
-    """Whether a checkpoint holds what the next companion shall go on with."""
+    """Return True if a checkpoint has an estimate for the next companion."""
     for path in folder.glob("state/companion/[!.]*.checkpoint-[01]"):  # whole ones
         with suppress(OSError, CheckpointError):
             memory = decode_checkpoint(path.read_bytes()).memory

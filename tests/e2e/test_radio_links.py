@@ -90,7 +90,7 @@ def listener() -> Listener:
 
 @pytest.fixture
 def said(caplog: pytest.LogCaptureFixture) -> Iterator[list[str]]:
-    """What the operator reads of links."""
+    """Yield the texts to the operator about links."""
     texts: list[str] = []
 
     class Keep(logging.Handler):
@@ -172,7 +172,7 @@ def test_a_service_waits_for_a_port_that_is_plugged_in_later(
 
 
 class Page(http.server.BaseHTTPRequestHandler):
-    """Answers with a number that counts up, or as it is told."""
+    """Server that answers with a number that counts up; its status and delay are set."""
 
     protocol_version = "HTTP/1.1"
     status = 200
@@ -313,7 +313,7 @@ def test_a_program_ends_even_where_the_companion_is_killed(tmp_path: Path) -> No
 
 
 def _wait_for_end(pid: int) -> None:
-    """A zombie that nobody reaps has ended, too."""
+    """Wait until a process has ended; a zombie that is not reaped has ended, too."""
     until_s = time.monotonic() + 20.0
     while time.monotonic() < until_s:
         try:

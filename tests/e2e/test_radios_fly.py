@@ -90,7 +90,7 @@ class Process:
             time.sleep(0.02)
 
     def wait_to_end(self) -> None:
-        """It ends in order and in time."""
+        """Assert that the process ends in order and in time."""
         deadline_s = time.monotonic() + FLIGHT_S
         while self.process.poll() is None and time.monotonic() < deadline_s:
             time.sleep(0.05)
@@ -189,7 +189,7 @@ def write(path: Path, record: Params, **others: object) -> None:
 
 
 def rig_of(directory: Path, format_: Format) -> Rig:
-    """With the line that suits the radio."""
+    """Return a rig with the kind of line that the radio needs."""
     name, port = format_.name, free_port()
     if name in BY_PAGE:
         return Rig(directory, format_, f"http:127.0.0.1:{port}", f"http://127.0.0.1:{port}")
@@ -218,7 +218,7 @@ def rigs() -> Iterator[list[Rig]]:
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_kernels() -> None:
-    """What compiles once and is kept on disk must not count against the time of a flight."""
+    """Compile the kernels beforehand, so that it does not count against the time of a flight."""
     code = "from companion.run import compile_kernels; compile_kernels()"
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -302,7 +302,7 @@ def test_a_program_that_ends_in_flight_is_run_again_until_it_is_there(
 def unplug_in_flight(
     rig: Rig, companion: Process, pull: Callable[[], object], push: Callable[[], object]
 ) -> None:
-    """It holds as for ranging loss, goes on by itself, and says each once."""
+    """Assert that it holds as for ranging loss, goes on by itself, and announces each once."""
     rig.vehicle()
     companion.wait_for("flying the plan")
     silences, returns = companion.count("silent for"), companion.count("heard again")
@@ -358,7 +358,7 @@ class Front:
 
 
 def page_of(url: str) -> tuple[int, bytes]:
-    """What is there, whatever it is."""
+    """Return status and body of a page, also of an error."""
     try:
         with urllib.request.urlopen(url, timeout=5.0) as answer:
             return answer.status, answer.read()

@@ -26,7 +26,7 @@ def started() -> Iterator[list[Process]]:
 
 
 def lines_of(directory: Path, name: str) -> tuple[str, str]:
-    """Where the emulator prints, and where the companion listens."""
+    """Return the address that the emulator prints to, and that of the companion."""
     port = free_port()
     if name in BY_UDP:
         return f"udpout:127.0.0.1:{port}", f"udp:127.0.0.1:{port}"

@@ -48,13 +48,13 @@ def section_of(heading: str) -> str:
 
 
 def steps_of(heading: str) -> dict[int, str]:
-    """Its numbered steps."""
+    """Return the numbered steps below a heading."""
     numbered = re.findall(r"^(\d+)\. (.*)$", section_of(heading), re.MULTILINE)
     return {int(number): text for number, text in numbered}
 
 
 def runs_of(heading: str, name: str) -> list[list[str]]:
-    """What it says to run, as arguments of pytest."""
+    """Return the tests that a recipe names, as arguments of pytest."""
     (paragraph,) = re.findall(r"^Run (.*?)(?:\n\n|\Z)", section_of(heading), re.DOTALL | re.M)
     codes = re.findall(r"`([^`]+)`", paragraph.replace("\n", " "))
     return [shlex.split(code.replace("NAME", name)) for code in codes]
@@ -116,7 +116,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def python(root: Path, *words: str) -> str:
-    """What a command of the tests' interpreter says, with the copy's packages before any others."""
+    """Return the output of the tests' interpreter, with the copy's packages before any others."""
     done = subprocess.run(
         [sys.executable, *words],
         cwd=root,

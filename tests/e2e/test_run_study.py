@@ -31,7 +31,7 @@ sweeps:
 BLOCKS = 2 * 3 * 2
 """Two cases with three systems of two blocks."""
 BEGUN = 2
-"""Blocks after which a run is stopped: most are left, however late somebody looks."""
+"""Blocks after which a run is stopped: most are left, however late that is noticed."""
 
 
 def _command(study: Path | str, out: Path, *arguments: str) -> list[str]:

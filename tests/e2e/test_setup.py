@@ -1,4 +1,4 @@
-"""`companion setup` beside a vehicle that runs: written, examined, and what to set is told."""
+"""`companion setup` beside a running vehicle: files written and examined, settings listed."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ HOST = "127.0.0.1"
 
 
 class Echo:
-    """Returns every frame to the peer it came from; says what it is told to."""
+    """Endpoint that returns every frame to its peer, and sends the chunks of `say`."""
 
     is_finished = False
 

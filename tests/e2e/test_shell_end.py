@@ -1,4 +1,4 @@
-"""How a run of the shell ends: by itself, by signals, by a bug."""
+"""The end of a run of the shell: by itself, by signals, by a bug."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
 
 @pytest.fixture
 def time_of_ours(monkeypatch: pytest.MonkeyPatch) -> TimeOfOurs:
-    """For the shell and its clock."""
+    """Replace the clock of the shell by invented time."""
     ours = TimeOfOurs()
     monkeypatch.setattr("companion.io.shell.time", ours)
     monkeypatch.setattr("companion.io.shell.time", ours)

@@ -1,4 +1,4 @@
-"""Every command ends as ever, and without a word, when nobody reads what it prints."""
+"""Every command ends as ever, and without a word, when its output is not read."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FAILING = MISSION + "expectations: [{name: late, time_s: {at_least: 999}}]\n"
 
 
 def unread(command: list[str]) -> tuple[int, str]:
-    """Exit code of a process without a reader, and what it says where somebody reads."""
+    """Return the exit code of a process whose standard output is closed, and its errors."""
     process = subprocess.Popen(
         [sys.executable, *command],
         stdin=subprocess.DEVNULL,

@@ -26,17 +26,17 @@ from sim_link.world.environment import Emitter
 from sim_link.world.field_radio import FieldRadio
 
 MULTIPATH_SIGMA_M = 20.0
-"""What the cells' decoders count for it."""
+"""Sigma that the decoders of cells state for multipath."""
 Coarsen = Callable[[RangingMeasurement], RangingMeasurement]
 
 
 def as_it_is(heard: RangingMeasurement) -> RangingMeasurement:
-    """All of it."""
+    """Return the measurement unchanged."""
     return heard
 
 
 TENTH_NS_M = 0.5 * 299_792_458.0 * 1e-10
-"""What the metrics of a cell round the way there and back to, one way."""
+"""One-way range of a step in a cell's metrics, which round the way there and back."""
 
 
 def of_a_cell(step_m: float, *, is_cut_off: bool = True, is_nearest: bool = False) -> Coarsen:

@@ -1,6 +1,6 @@
-"""Twenty-one recorded flights of many kinds, and how they are flown anew.
+"""Twenty-one recorded flights of many kinds, and functions that fly them again.
 
-A golden flight is what an endpoint was told and how it was configured; `courses.json` has digests
+A golden flight is an endpoint's inputs and its configuration; `courses.json` has digests
 of every estimate and every setpoint that came of each. The flights are low and short, so that all
 of them together are small and are run again in seconds. `python -m tools.update_golden` renews the
 digests, or flies anew.
@@ -56,8 +56,8 @@ DURATION_S = 24.0
 SAMPLE_EVERY = 10
 MISSION = SessionParams(engage="auto", altitude_m=ALTITUDE_M)
 NEAR = EmitterParams(position_enu_m=(35.0, 30.0))
-TOLD = EstimationConfig(filter=FilterConfig(antenna=AntennaParams(kind="azimuth")))
-AUTO = CompanionConfig(mission=MISSION, estimation=TOLD)
+CONFIGURED = EstimationConfig(filter=FilterConfig(antenna=AntennaParams(kind="azimuth")))
+AUTO = CompanionConfig(mission=MISSION, estimation=CONFIGURED)
 CANONICAL = Scenario(emitter=NEAR)
 SECOND = EmitterParams(emitter_id=2, position_enu_m=(15.0, 40.0))
 KEEP_OUT = (((18.0, 15.0), (26.0, 15.0), (26.0, 26.0), (18.0, 26.0)),)
@@ -67,7 +67,7 @@ Happening = tuple[float, Callable[[Flight], None]]
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a golden flight is flown."""
+    """Configuration and scenario of a golden flight."""
 
     config: CompanionConfig = AUTO
     scenario: Scenario = CANONICAL
@@ -78,14 +78,14 @@ class Plan:
 
 
 class Golden(msgspec.Struct, frozen=True):
-    """A golden flight on disk: what was told to whom."""
+    """A golden flight on disk: the recorded inputs of each endpoint."""
 
     facts: FlightFacts
     inputs: bytes
 
 
 class GoldenCourse(msgspec.Struct, frozen=True):
-    """What came of it."""
+    """Result of a golden flight."""
 
     estimates: int
     setpoints: int
@@ -98,12 +98,12 @@ class GoldenCourse(msgspec.Struct, frozen=True):
 
     @property
     def is_of_this_arithmetic(self) -> bool:
-        """Whether its last digits must be ours."""
+        """True if this machine's arithmetic must give the same last digits."""
         return self.arithmetic == arithmetic()
 
     @classmethod
     def of(cls, course: Course) -> GoldenCourse:
-        """What is kept of a course."""
+        """Return the part of a course that is stored."""
         return cls(
             estimates=len(course.estimates),
             setpoints=len(course.setpoints),
@@ -116,7 +116,7 @@ class GoldenCourse(msgspec.Struct, frozen=True):
 
 @cache
 def arithmetic() -> str:
-    """How this machine rounds, tried on what estimators use.
+    """Return how this machine rounds, tried on functions that estimators use.
 
     The last digits of linear algebra and of elementary functions depend on the processor's vector
     units, for which numpy and its BLAS have code of their own, and on the C library.
@@ -164,7 +164,7 @@ def replayed(golden: Golden) -> Course:
 
 def load(path: Path) -> Golden:
     raw = msgspec.msgpack.decode(lzma.decompress(path.read_bytes()))
-    # most were recorded when an antenna could not be told yet, and was believed an azimuth's
+    # most were recorded when an antenna could not be configured, and was taken for an azimuth's
     believed = raw["facts"]["config"]["estimation"]["filter"]
     believed.setdefault("antenna", {"kind": "azimuth"})
     # and when the first autopilot heard was bound at once, as one of a configured system still is
@@ -260,7 +260,7 @@ def searching(pattern: str) -> Plan:
 
 
 def estimated(kind: str) -> Plan:
-    return Plan(configured(estimation=msgspec.structs.replace(TOLD, kind=kind)))
+    return Plan(configured(estimation=msgspec.structs.replace(CONFIGURED, kind=kind)))
 
 
 ARDUPILOT = Scenario(emitter=NEAR, autopilot=AutopilotParams(flavour="ardupilot"))
@@ -274,7 +274,7 @@ PLANS: dict[str, Plan] = {
     "swing": Plan(
         CompanionConfig(
             mission=SessionParams(engage="auto", altitude_m=9.0),
-            estimation=TOLD,
+            estimation=CONFIGURED,
             planner=PlannerConfig(latched_crossing=LatchedCrossingParams(altitude_swing_m=2.0)),
         )
     ),

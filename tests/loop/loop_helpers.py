@@ -60,12 +60,12 @@ SELDOM = PayloadParams(rate_hz=4.0)
 BOOT_S = 3.0
 """After this long the simulated autopilot can be armed."""
 Radio = Callable[[SimEndpoint, float], bytes | None]
-"""What a radio on a link of its own sends at a time, given the simulated truth."""
+"""Function that returns a radio's bytes at a time from the simulated truth; it has its own link."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
-    """What the link between the two does to a frame, the same in both directions, all the time."""
+    """Faults of the link between the two, the same in both directions, all the time."""
 
     loss: float = 0.0
     delay_s: float = 0.0
@@ -90,7 +90,7 @@ class Sent:
     position_enu_m: PositionEnu
     """About the autopilot's local origin."""
     vehicle_enu_m: PositionEnu
-    """Where the vehicle truly was."""
+    """True position of the vehicle."""
 
 
 class Recorder(Observer):
@@ -253,7 +253,7 @@ def take_off(flight: Flight, operator: Operator, height_m: float = 10.0) -> None
 
 
 def said(notes: MemoryJournal, part: str) -> bool:
-    """Whether a text to the operator contained something."""
+    """Return True if a text to the operator contained a part."""
     return any(part in text for _, text in notes.texts)
 
 
@@ -309,16 +309,16 @@ class Loop:
         self.operator = Operator(self.flight)
         self.run = self.flight.run
         self.command = self.operator.command
-        self.tell_vehicle: Callable[[Message], None] = self.operator.send
+        self.send_to_vehicle: Callable[[Message], None] = self.operator.send
         self.grant = self.operator.grant
 
-    def choose(self, mode: FlightMode, *, is_told_at_once: bool = False) -> None:
-        """Switch the mode; the companion may be told at once.
+    def choose(self, mode: FlightMode, *, is_reported_at_once: bool = False) -> None:
+        """Switch the mode; it may be reported to the companion at once.
 
-        ArduPilot does so anyhow, PX4 tells a new mode with its next HEARTBEAT, unless it is asked.
+        ArduPilot does so anyhow, PX4 reports a new mode by its next HEARTBEAT, unless requested.
         """
         self.operator.choose(mode)
-        if is_told_at_once:
+        if is_reported_at_once:
             params = [float(mavlink.MAVLINK_MSG_ID_HEARTBEAT), *[0.0] * 6]
             target = (self.flight.scenario.system_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0)
             self.operator.send(mavlink.MAVLink_command_long_message(*target, *params), None)

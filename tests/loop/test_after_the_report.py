@@ -1,4 +1,4 @@
-"""What follows the last report: it is asked for until the autopilot shows it."""
+"""The mode after the last report is requested until the autopilot shows it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 @flown_once
 def reported(flavour: FlavourName = "ardupilot", config: CompanionConfig = AUTO) -> Loop:
-    """At the tick of the report."""
+    """Return a flight at the tick of the report."""
     loop = Loop(config, Scenario(autopilot=AutopilotParams(flavour=flavour)))
     loop.run_until(lambda: bool(loop.notes.results), 180.0)
     return loop

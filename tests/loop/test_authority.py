@@ -44,13 +44,13 @@ CLEAN = LinkFaults()
 
 
 class Yielding(Observer):
-    """What the companion does after it was shown another mode."""
+    """Record of what the companion sends after another mode was reported."""
 
     def __init__(self) -> None:
         self.foreign_s: float | None = None
-        """When the first frame of another mode was heard since control was given."""
+        """Time of the first frame of another mode since control was given."""
         self.late: list[tuple[float, str]] = []
-        """What was sent more than a tick after such a frame."""
+        """Messages sent more than a tick after such a frame."""
         self.is_watching = True
 
     def watch(self) -> None:
@@ -84,7 +84,7 @@ class Yielding(Observer):
 def flying(
     flavour: FlavourName = "px4", faults: LinkFaults = CLEAN, seed: int = 1, after_s: float = 6.0
 ) -> Loop:
-    """In control for a while."""
+    """Return a flight that has been in control for a while."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
     loop = Loop(ENDLESS, scenario, seed)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
@@ -123,7 +123,7 @@ def test_nothing_follows_the_first_frame_of_another_mode(
     modes = [rng.choice([FlightMode.HOLD, FlightMode.RETURN]) for _ in range(3)]
     for mode in (*modes, FlightMode.LAND):
         loop.run(rng.uniform(0.05, 2.0))
-        loop.choose(mode, is_told_at_once=rng.random() < 0.5)
+        loop.choose(mode, is_reported_at_once=rng.random() < 0.5)
         loop.run_until(lambda: watched.foreign_s is not None, 3.0 if not loss else 10.0)
         loop.run(2.0)
         assert loop.phase not in IN_CONTROL
@@ -314,7 +314,7 @@ def test_an_origin_that_moved_is_held_on_for_two_seconds(flavour: FlavourName) -
 
 
 class FirstWord(Observer):
-    """When a vehicle that restarted was heard again."""
+    """Record of the time of the first message of a restarted vehicle."""
 
     def __init__(self) -> None:
         self.time_s: float | None = None

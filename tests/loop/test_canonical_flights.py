@@ -20,7 +20,7 @@ SEEDS = range(8)
 FLIGHT_S, AFTER_S = 180.0, 5.0
 FENCE_M, MARGIN_M = 150.0, 3.0
 FLOAT32_M = 1e-4
-"""What single precision on the wire may add."""
+"""Error that single precision on the wire may add."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ def flight(flavour: FlavourName, *incidents: Incident, seed: int = 1) -> Loop:
 
 
 def holds_s(loop: Loop) -> list[float]:
-    """How long each hold on a stale position lasted, by what the operator is told."""
+    """Return the length of each hold on a stale position, by the texts to the operator."""
     begun_s, lengths_s = None, []
     for time_s, text in loop.notes.texts:
         if text == "hold: vehicle position is stale":
@@ -40,7 +40,7 @@ def holds_s(loop: Loop) -> list[float]:
 
 
 def check(loop: Loop) -> None:
-    """Reported, well, inside, without a long hold, and nobody thought that it restarted."""
+    """Assert a good report, a flight inside, no long hold, and no supposed restart."""
     assert len(loop.notes.results) == 1, loop.notes.texts
     assert loop.error_m <= 1.5
     assert max(holds_s(loop), default=0.0) <= LONGEST_PAUSE_S, loop.notes.texts

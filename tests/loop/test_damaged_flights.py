@@ -70,7 +70,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> tuple[bytes, int]:
 
 @cache
 def inputs_until(path: Path, at: int) -> float:
-    """When the last input was that lies whole before a byte, seconds; 0: there is none."""
+    """Return the time, s, of the last input that lies whole before a byte; 0: there is none."""
     found: list[Input] = []
     whole = path.parent / f"part-{at}"
     whole.write_bytes(path.read_bytes()[:at])

@@ -60,7 +60,7 @@ COARSE = {
     "qorvo_cli": in_steps(0.01, 0.01),
     **dict.fromkeys(("lora_forwarder", "chirpstack", "things_stack"), of_a_gateway),
 }
-"""What RADIO_RANGING is rounded to, where another flight comes of the steps.
+"""Rounding of RADIO_RANGING of radios whose steps would make another flight.
 
 Of a tag with two axes even a millimetre may decide on which side the vehicle passes."""
 

@@ -31,7 +31,7 @@ def flown(flavour: FlavourName, parameters: dict[str, float], *incidents: Incide
 
 
 def reach_from_home_m(loop: Loop) -> float:
-    """How far the vehicle was from where it began, horizontally."""
+    """Return the largest horizontal distance of the vehicle from its start."""
     home = loop.true_positions[0][:2]
     return max(math.dist(home, position[:2]) for position in loop.true_positions)
 

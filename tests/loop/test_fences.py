@@ -47,9 +47,9 @@ def upload(loop: Loop, *areas: tuple[int, tuple[Point, ...]]) -> None:
         for command, corners in areas
         for position in geodetic_deg(loop, corners)
     ]
-    loop.tell_vehicle(mavlink.MAVLink_mission_count_message(1, 1, len(items), FENCE))
+    loop.send_to_vehicle(mavlink.MAVLink_mission_count_message(1, 1, len(items), FENCE))
     for seq, (command, vertices, (lat, lon)) in enumerate(items):
-        loop.tell_vehicle(
+        loop.send_to_vehicle(
             mavlink.MAVLink_mission_item_int_message(
                 *(1, 1, seq, 0, command, 0, 1, vertices, 0.0, 0.0, 0.0),
                 *(round(lat * 1e7), round(lon * 1e7), 0.0, FENCE),

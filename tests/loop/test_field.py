@@ -81,7 +81,7 @@ def changes(states: list[Any]) -> list[Any]:
 
 @pytest.mark.slow
 def test_an_array_is_crossed_lower_where_that_tells_more_and_never_below_the_band() -> None:
-    """The operator is told; the report comes from down there, and the climb back is not ours."""
+    """It is announced; the report comes from down there, and the climb back is not ours."""
     array = AntennaModelParams(kind="planar")
     scenario = Scenario(emitter=NEAR, channel=CLEAR, payload=PayloadParams(antenna=array))
     believed = FilterConfig(antenna=AntennaParams(kind="planar"))

@@ -16,7 +16,7 @@ from tests.loop.loop_helpers import Loop, flown_once
 OPERATOR = CompanionConfig()
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 HEARTBEAT_PERIOD_S = 1.0
-"""PX4 tells a new mode with its next HEARTBEAT."""
+"""PX4 reports a new mode by its next HEARTBEAT."""
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
@@ -62,12 +62,12 @@ def test_after_an_override_not_one_setpoint_and_not_one_mode_request(seed: int) 
     assert loop.mode is FlightMode.OFFBOARD
     asked = len(loop.commands)
     mode = rng.choice([FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND])
-    is_told_at_once = seed % 2 == 1
-    loop.choose(mode, is_told_at_once=is_told_at_once)
+    is_reported_at_once = seed % 2 == 1
+    loop.choose(mode, is_reported_at_once=is_reported_at_once)
     chosen_s = loop.now_s
-    told_s = chosen_s if is_told_at_once else chosen_s + HEARTBEAT_PERIOD_S
+    reported_s = chosen_s if is_reported_at_once else chosen_s + HEARTBEAT_PERIOD_S
     loop.run(15.0)
-    sent = loop.setpoints_since(told_s - 1e-9)
+    sent = loop.setpoints_since(reported_s - 1e-9)
     assert all(each.time_s >= chosen_s + REGAIN_QUIET_S for each in sent)
     assert loop.phase not in IN_CONTROL
     assert SET_MODE not in [command for _, command in loop.commands[asked:]]

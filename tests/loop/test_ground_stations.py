@@ -1,4 +1,4 @@
-"""What a ground station on another link of the autopilot hears of the companion, and does to it."""
+"""Messages between the companion and a ground station on another link of the autopilot."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class WatchedFlight:
         )
 
     def frames(self) -> list[bytes]:
-        """Of the companion, as the station heard them."""
+        """Return the companion's frames as the station received them."""
         return [f for f in frames_in(bytes(self.sim.heard)) if f[5] == 1 and f[6] == 191]
 
     def messages(self) -> list[Message]:
@@ -85,7 +85,7 @@ class WatchedFlight:
 
 
 def found(flavour: FlavourName) -> tuple[list[Message], ReportResult]:
-    """What a station heard of the companion until the emitter was reported, and that report."""
+    """Return the companion's messages at a station up to the report, and the report."""
     watched = WatchedFlight(flavour)
     watched.run_until(lambda: bool(watched.notes.results), 180.0)
     watched.flight.run(1.5)

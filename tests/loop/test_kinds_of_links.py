@@ -41,7 +41,7 @@ def test_a_search_ends_on_every_kind_of_link(mode: LinkMode) -> None:
 
 
 class UnreadFrames(Observer):
-    """Counts what the autopilot sends although nobody reads it."""
+    """Counter of the autopilot's frames that the companion does not read."""
 
     def __init__(self) -> None:
         self.count = 0

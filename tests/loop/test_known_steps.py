@@ -39,7 +39,7 @@ def r95_m(loop: Loop) -> float:
 
 
 def shift_m(steps: tuple[IncidentRecord, ...]) -> tuple[float, float]:
-    """By how much the target moves in the vehicle's local frame, east and north."""
+    """Return the target's shift in the vehicle's local frame, east and north."""
     east_m = north_m = 0.0
     for step in steps:
         assert isinstance(step, EkfJump | OriginShift)

@@ -1,4 +1,4 @@
-"""What goes wrong while the companion launches by itself, and who has the vehicle then."""
+"""Faults while the companion launches by itself, and the control of the vehicle then."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_pilot_who_holds_a_px4_during_its_climb_keeps_it(climbed_s: float) -> 
     loop = Loop(ENDLESS, Scenario(), 1)
     loop.run(climbed_s)
     assert loop.mode is FlightMode.TAKEOFF
-    loop.choose(FlightMode.HOLD, is_told_at_once=True)
+    loop.choose(FlightMode.HOLD, is_reported_at_once=True)
     loop.run(2 * TICK_S)
     assert loop.phase is Phase.YIELD
     assert loop.said("takeoff aborted: mode is hold")
@@ -111,7 +111,7 @@ def reposition(loop: Loop, height_m: float) -> None:
     frame, number = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_CMD_DO_REPOSITION
     north, east = round(origin.latitude_deg * 1e7), round(origin.longitude_deg * 1e7)
     up_m = origin.altitude_m + height_m
-    loop.tell_vehicle(
+    loop.send_to_vehicle(
         mavlink.MAVLink_command_int_message(
             1, 1, frame, number, 0, 0, -1.0, 1.0, 0.0, math.nan, north, east, up_m
         )

@@ -35,7 +35,7 @@ class Flight:
     hidden_share: float
     """Figures over the positions that it flew through."""
     depth_m: float
-    """How far into the block it flew; negative: it did not."""
+    """Largest depth in the block of the flight; negative: it stayed outside."""
 
 
 def fly(seed: int) -> Flight:

@@ -60,7 +60,7 @@ class Reached(Observer):
 
 
 class Sky(Loop):
-    """A flight and whoever else is in the air."""
+    """A flight with other vehicles in the air."""
 
     def __init__(
         self,
@@ -375,7 +375,7 @@ def test_what_is_no_autopilot_is_never_bound(
 
 
 def twin_at_another_address(sky: Sky) -> OtherVehicle:
-    """The same ids, boot clock and position as ours: only the hardware id tells them apart."""
+    """Return a vehicle with our ids, boot clock and position: only the hardware id differs."""
     east_m, north_m, up_m = sky.true_positions[-1]
     return OtherVehicle(
         system_id=1, uptime_s=sky.now_s, east_m=east_m + 2.0, north_m=north_m, up_m=up_m

@@ -43,7 +43,7 @@ SMALL = CompanionConfig(
 
 @flown_once
 def flying(after_s: float = 8.0) -> Loop:
-    """In control and flying the plan, with an estimate."""
+    """Return a flight in control that follows the plan, with an estimate."""
     loop = Loop()
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(after_s)
@@ -51,7 +51,7 @@ def flying(after_s: float = 8.0) -> Loop:
 
 
 def target_seen_m(loop: Loop, shift_enu_m: PositionEnu = (0.0, 0.0, 0.0)) -> float:
-    """How far the estimate is from where the target is in the autopilot's terms."""
+    """Return the distance of the estimate from the target in the autopilot's shifted frame."""
     estimate = loop.companion.session.estimate
     assert estimate is not None
     east, north = loop.flight.scenario.emitter.position_enu_m
@@ -89,7 +89,7 @@ def test_it_holds_until_the_position_is_steady_and_the_estimate_moves_along(
 
 @flown_once
 def searching(flavour: FlavourName = "px4") -> Loop:
-    """In control and searching in the small fence."""
+    """Return a flight in control that searches in the small fence."""
     loop = Loop(SMALL, Scenario(autopilot=AutopilotParams(flavour=flavour)))
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(6.0)

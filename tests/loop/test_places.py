@@ -58,5 +58,5 @@ def test_another_projection_is_told_once_and_places_are_right_a_kilometre_away(
     loop = searched(flavour)
     assert off_m(loop) <= NEAR_M
     check_report(loop)
-    told = [text for _, text in loop.notes.texts if "using the fitted transform" in text]
-    assert len(told) == 1
+    texts = [text for _, text in loop.notes.texts if "using the fitted transform" in text]
+    assert len(texts) == 1

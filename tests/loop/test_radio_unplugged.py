@@ -25,13 +25,13 @@ GONE_S = 15.0
 class Unplugged(EmulatedRadio):
     """While it is gone nothing comes, but once the word that its line is lost."""
 
-    is_gone = is_told = False
+    is_gone = is_end_reported = False
 
     def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
         printed = super().__call__(sim, now_s)
-        was_told, self.is_told = self.is_told, self.is_gone
+        was_reported, self.is_end_reported = self.is_end_reported, self.is_gone
         if self.is_gone:
-            return None if was_told else b""
+            return None if was_reported else b""
         return printed
 
 

@@ -33,7 +33,7 @@ TICK_S = 0.05
 
 @flown_once
 def in_control(after_s: float, seed: int) -> Loop:
-    """In control and flying the plan for a while."""
+    """Return a flight in control that has followed the plan for a while."""
     loop = Loop(seed=seed)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     loop.run(after_s)
@@ -41,7 +41,7 @@ def in_control(after_s: float, seed: int) -> Loop:
 
 
 def flying(fault: FaultRecord | None = None, after_s: float = 0.0, seed: int = 1) -> Loop:
-    """In control for a while, and then the fault begins."""
+    """Return a flight in control for a while, in which the fault then begins."""
     loop = in_control(after_s, seed)
     if fault is not None:
         loop.wire.add(fault, loop.now_s)
@@ -49,7 +49,7 @@ def flying(fault: FaultRecord | None = None, after_s: float = 0.0, seed: int = 1
 
 
 def phases(loop: Loop, seconds: float) -> list[tuple[float, Phase]]:
-    """What it flies, tick by tick."""
+    """Return the phases of a flight, tick by tick."""
     began_s, seen = loop.now_s, []
     while loop.now_s < began_s + seconds:
         loop.run(TICK_S)
@@ -58,7 +58,7 @@ def phases(loop: Loop, seconds: float) -> list[tuple[float, Phase]]:
 
 
 def last_flown_s(seen: list[tuple[float, Phase]]) -> float:
-    """When something was flown for the last time."""
+    """Return the last time in a phase that flies the plan."""
     return max((time_s for time_s, phase in seen if phase in FLYING), default=0.0)
 
 

@@ -35,7 +35,7 @@ Change = Callable[[Message, float], Message | None]
 
 
 class Recorded(Observer):
-    """What the vehicle sends, as a log."""
+    """Log of what the vehicle sends."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -133,7 +133,7 @@ def clock_jumps(message: Message, now_s: float) -> Message | None:
 
 
 def nothing_but_noise(message: Message, now_s: float) -> Message | None:
-    """All of it at once, but for the clock."""
+    """Return the message with all noise at once, except that of the clock."""
     for change in (position_flips, fix_flips, landed_flips, mode_flips, origin_flips):
         change(message, now_s)
     return without_home(message, now_s)

@@ -1,4 +1,4 @@
-"""The companion's process is killed in flight and started anew, beside PX4 and ArduPilot."""
+"""The companion's process is killed in flight and started again, beside PX4 and ArduPilot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ slow = pytest.mark.slow
 def in_control(
     config: CompanionConfig = MANUAL, scenario: Scenario | None = None
 ) -> tuple[Loop, Checkpointing]:
-    """In the air and in control, with a process' chores beside it."""
+    """Return a flight in control, and the checkpoints that its process writes."""
     loop = Loop(config, scenario)
     checkpointing = Checkpointing(loop.flight)
     if config.mission.engage == "operator":

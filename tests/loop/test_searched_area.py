@@ -1,4 +1,4 @@
-"""What a search without contact has covered, how it ends, and that contact changes nothing."""
+"""Coverage and end of a search without contact, and that contact changes nothing."""
 
 from __future__ import annotations
 

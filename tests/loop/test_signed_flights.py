@@ -26,7 +26,7 @@ UNIX_S = 1_800_000_000.0
 
 
 class Tape(Observer):
-    """What the vehicle sent, and whether anything left unsigned."""
+    """Record of the vehicle's frames, and of unsigned frames of the companion."""
 
     def __init__(self) -> None:
         self.vehicle: list[bytes] = []
@@ -82,7 +82,7 @@ def test_with_another_key_the_vehicle_is_a_stranger() -> None:
 
 @pytest.fixture(scope="module")
 def recorded_flight() -> tuple[Flight, list[bytes]]:
-    """In control, and the last frames of its vehicle."""
+    """Return a flight in control, and the last frames of its vehicle."""
     made, _, tape = flight()
     run_until(made, lambda: made.companion.session.phase is Phase.NORMAL, 60.0)
     return made, tape.vehicle[-1500:]

@@ -26,7 +26,7 @@ SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 
 @flown_once
 def searching(flavour: FlavourName, *, bears_silence: bool = False) -> Loop:
-    """In control, on the way, at its full speed."""
+    """Return a flight in control at its full speed."""
     autopilot = AutopilotParams(
         flavour=flavour, offboard_loss_timeout_s=10.0 if bears_silence else 1.0
     )

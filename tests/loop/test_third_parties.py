@@ -72,7 +72,7 @@ def searching(flavour: Flavour, policy: Literal["compare", "use", "require"] = "
 
 @flown_once
 def remembered(flavour: Flavour, policy: Literal["compare", "use"]) -> Loop:
-    """In control in a small fence, with checkpoints that a restart finds."""
+    """Return a flight in control in a small fence, with checkpoints that a restart finds."""
     loop = started(flavour, policy, half_m=45.0)
     Checkpointing(loop.flight)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
@@ -82,7 +82,7 @@ def remembered(flavour: Flavour, policy: Literal["compare", "use"]) -> Loop:
 
 @flown_once
 def hovering(flavour: Flavour, half_m: float = 150.0) -> Loop:
-    """In the air, in the hands of the pilot, the companion in standby or waiting."""
+    """Return a flight by the pilot, with the companion in standby or waiting."""
     loop = started(flavour, half_m=half_m, engage="operator")
     if flavour == "px4":
         loop.take_off()
@@ -104,7 +104,7 @@ def change(loop: Loop, incident: incidents.StationRecord) -> None:
 
 
 def farthest_out_m(loop: Loop, border: tuple[Point, ...], since: int) -> float:
-    """How far outside of a border the true vehicle was; negative: how far inside it stayed."""
+    """Return the largest distance of the true vehicle beyond a border; negative: inside."""
     return max(-depth_m(border, position[:2]) for position in loop.true_positions[since:])
 
 
@@ -315,7 +315,7 @@ def test_the_fences_of_a_flight_outlive_a_restart_of_the_companion(
 
 
 def reach_m(loop: Loop) -> float:
-    """How far east the guard lets a setpoint be; 0 without a fence."""
+    """Return the farthest east of a setpoint that the guard allows; 0 without a fence."""
     fence = loop.companion.session.fencing.guard.limits.fence
     positions = [(0.5 * step, 0.0) for step in range(600)]
     return max(

@@ -63,7 +63,7 @@ FEW_STEPS = 60
 """Of flights of every day."""
 SEEDS = range(4)
 WIRE_M = 1e-4
-"""What bytes may add to an estimate; nearly all of it is the first view from 0.1 m too low."""
+"""Error that bytes may add to an estimate; nearly all is the first view from 0.1 m too low."""
 FLIGHT_M = 0.1
 """Most that flying may add to where an estimate ends: the views are from other positions."""
 HEIGHT_M = 20.0
@@ -97,9 +97,9 @@ class StudyRadio:
     seed: int
     steps: int
     positions: list[PositionEnu] = field(default_factory=list)
-    """Where the vehicle truly was at each measurement."""
+    """True position of the vehicle at each measurement."""
     z: list[tuple[float, float]] = field(default_factory=list)
-    """What was measured there, metres and radians."""
+    """Measured values there, metres and radians."""
     codec: MavCodec = field(default_factory=lambda: MavCodec(1, mavlink.MAV_COMP_ID_PERIPHERAL))
 
     def __call__(self, sim: SimEndpoint, now_s: float) -> bytes | None:
@@ -208,7 +208,7 @@ def by_objects(case: Case, system: System, seed: int) -> TrialResult:
 def decisions(
     planner: PlannerName, estimation: TrackerParams, steps: int = STEPS
 ) -> list[tuple[PlanRequest, Plan[Any]]]:
-    """What was asked and answered in flight, from the first estimate on."""
+    """Return the planner's requests and plans in flight, from the first estimate on."""
     asked = flight(planner, estimation, 0, steps).asked
     return [(request, plan) for request, plan in asked if request.estimate is not None]
 

@@ -89,7 +89,7 @@ def away(time_s: float) -> Point:
 
 
 def along_the_border(time_s: float) -> Point:
-    """To and fro across the north-east corner of the fence."""
+    """Return the position on a way to and fro across the fence's north-east corner."""
     return (60.0 + 25.0 * math.sin(0.05 * time_s), 60.0 + 25.0 * math.cos(0.05 * time_s))
 
 

@@ -68,7 +68,7 @@ LAYOUTS = {
 }
 SEEDS = 8
 IS_COMPILED = "is compiled"
-"""Name of the result that tells how the kernels were run."""
+"""Name of the result that states how the kernels were run."""
 
 Results = Iterator[tuple[str, object]]
 
@@ -226,7 +226,7 @@ def results() -> Results:
 
 
 def save(path: Path) -> None:
-    """All results into one npz file."""
+    """Write all results into one npz file."""
     arrays = {name: np.asarray(value, dtype=np.float64) for name, value in results()}
     np.savez(path, **arrays)  # type: ignore[arg-type]
 

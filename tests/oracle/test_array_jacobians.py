@@ -140,13 +140,13 @@ def test_what_is_printed_is_what_is_expected_of_the_true_place(
     )
     u = turn.inv().apply(away_ned / np.linalg.norm(away_ned))
     bearing_rad, elevation_rad = _printed(u, kind)
-    told = RangingMeasurement(
+    printed = RangingMeasurement(
         emitter_id=1,
         measured_at_s=0.0,
         bearing_body_rad=bearing_rad,
         elevation_rad=elevation_rad,
     )
-    seen = seen_in_enu(told, Attitude(attitude[2], attitude[:2]), antenna)
+    seen = seen_in_enu(printed, Attitude(attitude[2], attitude[:2]), antenna)
     params = FilterParams(antenna=antenna)
     row = params.kernel_row(seen, (4.0, -3.0, 20.0))
     pose, z, _ = [row[columns] for columns in argument_columns(params.model)]
@@ -162,8 +162,8 @@ def test_a_compass_that_is_off_turns_every_direction_alike() -> None:
     params = FilterParams(antenna=antenna)
     true_yaw, target = 0.7, (30.0, 10.0, 0.0)
     azimuth = math.atan2(30.0, 10.0) - true_yaw  # clockwise from the nose, from above the origin
-    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_body_rad=azimuth)
-    seen = seen_in_enu(told, Attitude(true_yaw + math.radians(10.0), (0.0, 0.0)), antenna)
+    printed = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_body_rad=azimuth)
+    seen = seen_in_enu(printed, Attitude(true_yaw + math.radians(10.0), (0.0, 0.0)), antenna)
     row = params.kernel_row(seen, (0.0, 0.0, 20.0))
     pose, z, _ = [row[columns] for columns in argument_columns(params.model)]
     mean = np.array([target[0], target[1], 0.0, math.radians(-10.0)])
@@ -172,18 +172,18 @@ def test_a_compass_that_is_off_turns_every_direction_alike() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_without_the_attitude_there_is_no_direction(kind: AntennaKind) -> None:
-    told = RangingMeasurement(
+    printed = RangingMeasurement(
         emitter_id=1, measured_at_s=0.0, range_m=20.0, bearing_body_rad=0.1, elevation_rad=0.1
     )
-    seen = seen_in_enu(told, None, AntennaParams(kind=kind))
+    seen = seen_in_enu(printed, None, AntennaParams(kind=kind))
     assert not seen.has_direction
-    assert seen.range_m == told.range_m
+    assert seen.range_m == printed.range_m
 
 
 def test_nothing_is_believed_outside_the_field_of_view() -> None:
     antenna = AntennaParams(kind="line", field_of_view_deg=120.0)
     for degrees, is_believed in ((59.0, True), (-61.0, False)):
-        told = RangingMeasurement(
+        printed = RangingMeasurement(
             emitter_id=1, measured_at_s=0.0, bearing_body_rad=math.radians(degrees)
         )
-        assert seen_in_enu(told, Attitude(0.0, (0.0, 0.0)), antenna).has_direction is is_believed
+        assert seen_in_enu(printed, Attitude(0.0, (0.0, 0.0)), antenna).has_direction is is_believed

@@ -77,7 +77,7 @@ def test_the_density_is_scipys_and_its_slope_the_finite_difference(mean_bias_m: 
 
 
 def _log_density(a: Vector, b: Vector, p: float) -> Vector:
-    """Of the errors of the paper's channel, written down a second time."""
+    """Return the log density of errors of the paper's channel, implemented a second time."""
     thermal, bent = math.radians(2.0), math.hypot(math.radians(2.0), math.radians(5.0))
     clear = norm.pdf(a, scale=1.5) * norm.pdf(b, scale=thermal)
     blocked = exponnorm.pdf(a, 8.0 / 1.5, scale=1.5) * norm.pdf(b, scale=bent)
@@ -109,12 +109,12 @@ def test_it_is_the_mean_square_of_the_score_over_what_the_channel_does(p: float)
 def test_range_and_bearing_together_tell_more_than_each_alone_but_less_than_the_path() -> None:
     p = 0.5
     clear, blocked, mixed = (channel_information(_channel(p_nlos=q)) for q in (0.0, 1.0, p))
-    told = (1.0 - p) * clear.range_per_m2 + p * blocked.range_per_m2
+    separated = (1.0 - p) * clear.range_per_m2 + p * blocked.range_per_m2
     x, step = np.linspace(-15.0, 400.0, 200_001, retstep=True)
     alone = 0.5 * norm.pdf(x, scale=1.5) + 0.5 * exponnorm.pdf(x, 8.0 / 1.5, scale=1.5)
     slope = np.gradient(alone, step)
     marginal = np.sum(np.where(alone > 1e-12, slope**2 / np.maximum(alone, 1e-12), 0.0)) * step
-    assert marginal < mixed.range_per_m2 < told
+    assert marginal < mixed.range_per_m2 < separated
 
 
 @pytest.mark.parametrize("field", ["range_sigma_m", "bearing_sigma_deg"])
@@ -133,7 +133,7 @@ def _bounds(
 
 
 def _information(track: Matrix, range_per_m2: float, bearing_per_rad2: float) -> Matrix:
-    """Of a whole track about position and offsets, (4, 4), by finite differences."""
+    """Return a track's information on position and offsets, (4, 4), by finite differences."""
 
     def expected(x: Vector) -> Vector:
         de, dn = x[0] - track[:, 0], x[1] - track[:, 1]

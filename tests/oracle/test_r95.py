@@ -26,7 +26,7 @@ def _covariance(sigma_a_m: float, sigma_b_m: float, turn_rad: float) -> Matrix:
 
 
 def _probability_within(radius_m: float, sigma_a_m: float, sigma_b_m: float) -> float:
-    """Of a Gaussian with these axes, by slices along the longer one."""
+    """Return the probability of a Gaussian within a radius, by slices along the longer axis."""
 
     def slice_of(a: float) -> float:
         half = math.sqrt(max(radius_m**2 - a * a, 0.0))

@@ -1,4 +1,4 @@
-"""Where the filters' range offset settles: the loss alone says it, before any filter is run.
+"""The value to which the filters' range offset settles follows from the loss alone.
 
 On a far and even track the offset is a location estimate of ranges less distances. An M-estimate of
 location is where the mean influence of the errors is zero. Source: P. J. Huber, Robust Statistics
@@ -23,7 +23,7 @@ RUNS = 20
 
 
 def settled_m(k_short: float) -> float:
-    """Where the mean influence of the canonical channel's range errors vanishes, metres."""
+    """Return the offset, m, at which the mean influence of the canonical range errors is zero."""
     channel, k_long = Case().channel, 1.5
     errors_m = np.arange(-10.0, 120.0, 0.01)
     clear, blocked = (

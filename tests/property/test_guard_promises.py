@@ -1,4 +1,4 @@
-"""What the guard promises of every setpoint, whatever goals, clocks and vehicles do.
+"""Promises of the guard about every setpoint, whatever goals, clocks and vehicles do.
 
 The geometry is judged by shapely, which shares no line with the guard's own. A setpoint either
 
@@ -124,7 +124,7 @@ def ahead(position: Point, velocity: Position, time_s: float) -> Point:
 
 
 def assert_may_be_last(guard: Guard, oracle: Oracle, setpoint: Guarded, motion: Motion) -> None:
-    """Of a setpoint that moved."""
+    """Assert that a setpoint that moved may be the last one."""
     stopping, position = guard.limits.stopping, setpoint.position_enu_m[:2]
     fence, velocity = guard.limits.fence, setpoint.velocity_enu_mps
     assert fence is not None
@@ -150,7 +150,7 @@ def out_m(guard: Guard, position: Position) -> float:
 def assert_comes_in(
     guard: Guard, before: Guarded, after: Guarded, tick: Tick, vehicle: Position
 ) -> None:
-    """By the limits of speed, climb and acceleration, without a detour; or from the vehicle."""
+    """Assert a way in within speed, climb and acceleration, or a start at the vehicle."""
     envelope, dt_s = guard.limits.envelope, min(max(tick.dt_s, 0.0), MAX_TICK_S)
     at = after.position_enu_m[:2]
     moved_m = min(math.dist(before.position_enu_m[:2], at), math.dist(vehicle[:2], at))

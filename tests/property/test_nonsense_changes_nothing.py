@@ -53,7 +53,7 @@ def _tracker() -> TargetTracker:
 
 
 def _bits(tracker: TargetTracker) -> list[object]:
-    """All that a measurement could have changed."""
+    """Return all state that a measurement could have changed."""
     return [
         *[
             (h.log_weight, h.state.time_s, h.state.mean.tobytes(), h.state.covariance.tobytes())

@@ -66,7 +66,7 @@ FRAMES = 20_000
 
 
 class Services:
-    """All of a vehicle's services, obeying whatever they are told."""
+    """All of a vehicle's services, which obey every request."""
 
     def __init__(self, *, is_ardupilot: bool) -> None:
         texts = StatusTexts()

@@ -69,7 +69,7 @@ def unanswered_companion_probe(prober: type[CompanionProbe], flavour: Flavour) -
 
 
 def try_on_vehicle(rule: Rule, endpoint: Endpoint) -> RuleOutcome:
-    """How a rule goes with a vehicle in memory."""
+    """Return the outcome of a rule with a vehicle in memory."""
     return try_rule(rule, probe_of(endpoint, rule.book.prober))
 
 

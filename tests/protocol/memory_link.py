@@ -86,7 +86,7 @@ class MemoryLink:
         self._hub.receive(data, self)
 
     def poll(self, until_s: float) -> list[bytes]:
-        """What arrives first, at the latest at `until_s`."""
+        """Return the frames that arrive first, at the latest at `until_s`."""
         while not self.inbox and self._hub.now_s < until_s:
             self._hub.step(until_s)
         arrived = list(self.inbox)
@@ -105,7 +105,7 @@ class MemoryLink:
             self._hub.disconnect(self._others.pop())
 
     def is_meant(self, chunk: Chunk) -> bool:
-        """Whether a chunk of the endpoint comes here."""
+        """Return True if a chunk of the endpoint is sent to this link."""
         if chunk.link != self.link_index or self.address in chunk.except_peers:
             return False
         return chunk.peer in (None, self.address)

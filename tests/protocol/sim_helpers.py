@@ -143,7 +143,7 @@ class GroundStation:
         ]
 
     def last(self, kind: type[M], component: int = 1) -> M:
-        """The newest message of a kind; found from the end, for whoever asks in every step."""
+        """Return the newest message of a kind, searched from the end for speed."""
         return next(
             m
             for _, m in reversed(self.inbox)

@@ -9,7 +9,7 @@ from companion.mav.endpoint import Chunk, Endpoint
 from sim_link.lab.conformance.mavlink_oracle import FrameSpec, build_raw
 
 Edit = Callable[[bytes], list[bytes]]
-"""What becomes of a frame."""
+"""Function from a frame to the frames that replace it."""
 
 HEADER = 10
 
@@ -65,14 +65,14 @@ class Tampered:
 
 
 class DeafRecording:
-    """What an endpoint says that never hears anything, recorded as far as somebody listened."""
+    """Output of an endpoint without input, recorded as far as it is read."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
         self._wakeups: list[tuple[float, list[Chunk]]] = []
 
     def wakeup(self, number: int) -> tuple[float, list[Chunk]]:
-        """When it was woken for this time, and what it said."""
+        """Return the time and output of the wake-up of this index."""
         while len(self._wakeups) <= number:
             now_s = self._endpoint.next_timer_s()
             self._endpoint.handle_timer(now_s)

@@ -182,8 +182,8 @@ def test_a_second_origin_has_no_effect() -> None:
     station = copter()
     station.send(mavlink.MAVLink_set_gps_global_origin_message(1, 470000000, 85460000, 480000))
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 49.0) == ACCEPTED
-    told = station.last(mavlink.MAVLink_gps_global_origin_message)
-    assert told.latitude == 473977420
+    reported = station.last(mavlink.MAVLink_gps_global_origin_message)
+    assert reported.latitude == 473977420
 
 
 @pytest.mark.parametrize("speed_cmps", [200.0, 500.0])

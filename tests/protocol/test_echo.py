@@ -1,4 +1,4 @@
-"""POSITION_TARGET_*: the target that is flown, as each autopilot tells it."""
+"""POSITION_TARGET_*: the target that is flown, as each autopilot reports it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def copter() -> GroundStation:
 
 
 def fly(station: GroundStation, setpoint: Message) -> LocalEcho:
-    """Stream a setpoint for a second; what is told then."""
+    """Stream a setpoint for a second; return the echoed target."""
     station.stream = lambda: setpoint
     station.run(1.0)
     assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, LOCAL) == ACCEPTED
@@ -45,19 +45,19 @@ def fly(station: GroundStation, setpoint: Message) -> LocalEcho:
 
 
 def test_px4_tells_the_place_and_the_velocity_that_follows_from_it(px4: GroundStation) -> None:
-    told = fly(px4, local_setpoint(30.0, 10.0, -12.0))
-    assert (told.coordinate_frame, told.type_mask) == (mavlink.MAV_FRAME_LOCAL_NED, 0)
-    assert (told.x, told.y, told.z) == (30.0, 10.0, -12.0)
-    assert told.vx > 3.0
-    assert told.vz < -0.5
-    assert told.yaw == pytest.approx(px4.sim.vehicle.aircraft.heading_ned_rad)
+    echo = fly(px4, local_setpoint(30.0, 10.0, -12.0))
+    assert (echo.coordinate_frame, echo.type_mask) == (mavlink.MAV_FRAME_LOCAL_NED, 0)
+    assert (echo.x, echo.y, echo.z) == (30.0, 10.0, -12.0)
+    assert echo.vx > 3.0
+    assert echo.vz < -0.5
+    assert echo.yaw == pytest.approx(px4.sim.vehicle.aircraft.heading_ned_rad)
 
 
 def test_px4_tells_a_velocity_with_no_place_and_nan_for_it(px4: GroundStation) -> None:
-    told = fly(px4, local_setpoint(vx=1.0, vy=-2.0, mask=VELOCITY_ONLY))
-    assert told.type_mask == dialect.POSITION_IGNORE
-    assert (told.vx, told.vy, told.vz) == pytest.approx((1.0, -2.0, 0.0))
-    assert all(math.isnan(value) for value in (told.x, told.y, told.z))
+    echo = fly(px4, local_setpoint(vx=1.0, vy=-2.0, mask=VELOCITY_ONLY))
+    assert echo.type_mask == dialect.POSITION_IGNORE
+    assert (echo.vx, echo.vy, echo.vz) == pytest.approx((1.0, -2.0, 0.0))
+    assert all(math.isnan(value) for value in (echo.x, echo.y, echo.z))
 
 
 def test_px4_tells_who_of_two_senders_was_heard_last(px4: GroundStation) -> None:
@@ -70,7 +70,7 @@ def test_px4_tells_who_of_two_senders_was_heard_last(px4: GroundStation) -> None
         px4.run(0.1)
         px4.send(theirs)
         px4.run(0.1)
-    assert {told.x for told in px4.all(LocalEcho)} == {20.0, 0.0}
+    assert {echo.x for echo in px4.all(LocalEcho)} == {20.0, 0.0}
 
 
 def test_px4_tells_where_it_holds_and_nothing_once_disarmed(px4: GroundStation) -> None:
@@ -79,8 +79,8 @@ def test_px4_tells_where_it_holds_and_nothing_once_disarmed(px4: GroundStation) 
     assert px4.set_mode(FlightMode.HOLD) == ACCEPTED
     px4.stream = None
     px4.run(0.5)
-    told = px4.last(LocalEcho)
-    assert (told.x, told.y, told.z) == pytest.approx((held.x, held.y, held.z), abs=0.2)
+    echo = px4.last(LocalEcho)
+    assert (echo.x, echo.y, echo.z) == pytest.approx((held.x, held.y, held.z), abs=0.2)
     assert px4.command(ARM, 0.0, 21196.0) == ACCEPTED
     px4.run(0.2)
     px4.inbox.clear()
@@ -100,15 +100,15 @@ def test_px4_tells_where_it_holds_and_nothing_once_disarmed(px4: GroundStation) 
 def test_arducopter_tells_what_it_was_sent_and_zeros(
     copter: GroundStation, setpoint: Message, ignored: int
 ) -> None:
-    told = fly(copter, setpoint)
-    assert told.type_mask == ignored
+    echo = fly(copter, setpoint)
+    assert echo.type_mask == ignored
     if not ignored & dialect.POSITION_IGNORE:
         moved_m = 0.0 if ignored & dialect.VELOCITY_IGNORE else 0.1  # it runs on
         position = (20.0 + moved_m, 10.0, -10.0)
-        assert (told.x, told.y, told.z) == pytest.approx(position)
+        assert (echo.x, echo.y, echo.z) == pytest.approx(position)
     else:
-        assert (told.x, told.y, told.z) == (0.0, 0.0, 0.0)
-    assert (told.yaw, told.yaw_rate) == (0.0, 0.0)
+        assert (echo.x, echo.y, echo.z) == (0.0, 0.0, 0.0)
+    assert (echo.yaw, echo.yaw_rate) == (0.0, 0.0)
 
 
 def test_arducopter_tells_a_velocity_of_zero_after_its_timeout(copter: GroundStation) -> None:
@@ -116,8 +116,8 @@ def test_arducopter_tells_a_velocity_of_zero_after_its_timeout(copter: GroundSta
     copter.stream = None
     copter.run(3.2)
     assert copter.command(mavlink.MAV_CMD_REQUEST_MESSAGE, LOCAL) == ACCEPTED
-    told = copter.last(LocalEcho)
-    assert (told.type_mask, told.vx) == (dialect.POSITION_IGNORE | 0xC00, 0.0)
+    echo = copter.last(LocalEcho)
+    assert (echo.type_mask, echo.vx) == (dialect.POSITION_IGNORE | 0xC00, 0.0)
 
 
 def test_arducopter_tells_a_global_target_only_where_there_is_a_place(
@@ -125,8 +125,8 @@ def test_arducopter_tells_a_global_target_only_where_there_is_a_place(
 ) -> None:
     fly(copter, local_setpoint(20.0, 10.0, -10.0))
     assert copter.command(mavlink.MAV_CMD_REQUEST_MESSAGE, GLOBAL) == ACCEPTED
-    told = copter.last(mavlink.MAVLink_position_target_global_int_message)
-    assert told.alt == pytest.approx(498.0, abs=0.01)
+    echo = copter.last(mavlink.MAVLink_position_target_global_int_message)
+    assert echo.alt == pytest.approx(498.0, abs=0.01)
     fly(copter, local_setpoint(vx=1.0, mask=VELOCITY_ONLY))
     assert copter.command(mavlink.MAV_CMD_REQUEST_MESSAGE, GLOBAL) == FAILED
 

@@ -1,4 +1,4 @@
-"""What happens to the simulated vehicle that no client asked for, by script or at once."""
+"""Incidents of the simulated vehicle that no client requests, by script or at once."""
 
 from __future__ import annotations
 
@@ -136,8 +136,8 @@ def test_a_jump_of_the_heading_shows_in_the_reports_and_turns_the_vehicle_back()
     assert station.set_mode(FlightMode.OFFBOARD) == ACCEPTED
     happen(station, incidents.EkfJump(east_m=0.0, yaw_deg=30.0))
     station.run(0.1)
-    told = station.last(mavlink.MAVLink_attitude_message).yaw
-    assert told == pytest.approx(math.radians(30.0), abs=0.1)
+    reported = station.last(mavlink.MAVLink_attitude_message).yaw
+    assert reported == pytest.approx(math.radians(30.0), abs=0.1)
     station.run(3.0)
     assert station.last(mavlink.MAVLink_attitude_message).yaw == pytest.approx(0.0, abs=0.01)
     assert station.sim.vehicle.body.yaw_ned_rad == pytest.approx(math.radians(-30.0), abs=0.01)
@@ -167,8 +167,8 @@ def test_a_charge_changes_and_may_be_unknown() -> None:
     happen(station, incidents.BatteryCharge(share=None))
     station.run(2.0)
     status = station.last(mavlink.MAVLink_sys_status_message)
-    told = (status.voltage_battery, status.current_battery, status.battery_remaining)
-    assert told == (0xFFFF, -1, -1)
+    reported = (status.voltage_battery, status.current_battery, status.battery_remaining)
+    assert reported == (0xFFFF, -1, -1)
     assert station.last(mavlink.MAVLink_battery_status_message).battery_remaining == -1
 
 

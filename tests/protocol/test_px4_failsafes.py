@@ -1,4 +1,4 @@
-"""What the simulated PX4 does when something goes wrong: links, fence, battery, satellites."""
+"""Failsafes of the simulated PX4: links, fence, battery, satellites."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SQUARE = ((0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0))
 
 
 def texts(station: GroundStation) -> list[str]:
-    """What the autopilot said."""
+    """Return the autopilot's texts."""
     return [str(m.text) for m in station.all(mavlink.MAVLink_statustext_message)]
 
 
@@ -251,8 +251,12 @@ def test_origin_and_home_move_apart_and_are_told() -> None:
     origin = mavlink.MAVLink_set_gps_global_origin_message(1, 473977420, 85460000, 480000)
     station.inbox.clear()
     station.send(origin)
-    told = station.last(mavlink.MAVLink_gps_global_origin_message)
-    assert (told.latitude, told.longitude, told.altitude) == (473977420, 85460000, 480000)
+    reported = station.last(mavlink.MAVLink_gps_global_origin_message)
+    assert (reported.latitude, reported.longitude, reported.altitude) == (
+        473977420,
+        85460000,
+        480000,
+    )
     home = mavlink.MAVLink_command_int_message(
         1, 1, 5, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, NAN, NAN, NAN, 473980000, 85456000, 490.0
     )

@@ -1,4 +1,4 @@
-"""Whole runs on a vehicle that hangs, crashes or never gets ready: told, and left as it was."""
+"""Whole runs on a vehicle that hangs, crashes or never gets ready: reported and restored."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FLAVOURS = pytest.mark.parametrize("flavour", list(Flavour), ids=lambda flavour:
 
 
 class MemoryRun:
-    """A run on a simulated vehicle, and what it told; `stop_s` is when somebody presses Ctrl-C."""
+    """A run on a simulated vehicle, and its texts; `stop_s` is the time of Ctrl-C."""
 
     def __init__(
         self,
@@ -64,8 +64,10 @@ class MemoryRun:
         self.link = MemoryHub(self.vehicle).connect()
         if stop_s < math.inf:
             self.stop_at(stop_s)
-        self.told: list[str] = []
-        self.run = RuleRun(self.link, RunOptions(allowed=allowed), lambda _: None, self.told.append)
+        self.texts: list[str] = []
+        self.run = RuleRun(
+            self.link, RunOptions(allowed=allowed), lambda _: None, self.texts.append
+        )
 
     def stop_at(self, stop_s: float) -> None:
         is_stopped = False
@@ -85,7 +87,7 @@ class MemoryRun:
         return [outcome.verdict.value for outcome in self.run.outcomes]
 
     def require_left_in_order(self) -> None:
-        """On the ground, disarmed, with its parameters, or told what is not so."""
+        """Assert a disarmed vehicle with its parameters, unless the run reports otherwise."""
         if not self.run.left_behind:
             assert not self.vehicle.vehicle.is_armed
             assert self.vehicle.parameters_text == self.stored
@@ -133,9 +135,9 @@ def test_a_vehicle_is_landed_and_restored_after_a_rule_that_fails_or_breaks(
     assert trial.try_rules(FAILS, BREAKS, HEARTBEAT) == ["FAIL", "ERROR", "PASS"]
     assert trial.run.left_behind == []
     trial.require_left_in_order()
-    mark = len(trial.told)
+    mark = len(trial.texts)
     trial.run.run([BY_ID["streams.stream_can_be_stopped_and_restored"]])
-    assert trial.told[mark:] == []
+    assert trial.texts[mark:] == []
 
 
 @FLAVOURS
@@ -151,7 +153,7 @@ def test_a_vehicle_that_hangs_for_a_while_is_waited_for_and_put_in_order(flavour
     trial = MemoryRun(flavour, AutopilotStall(start_s=25.0, duration_s=40.0))
     assert trial.try_rules(FLIES_FAR, HEARTBEAT, FAILS) == ["HANG", "PASS", "FAIL"]
     assert "nothing is heard any more" in trial.run.outcomes[0].detail
-    assert any("waiting 90 s for it to come back" in text for text in trial.told)
+    assert any("waiting 90 s for it to come back" in text for text in trial.texts)
     assert trial.run.left_behind == []
     trial.require_left_in_order()
     assert exit_code(trial.run.outcomes) == 1
@@ -184,7 +186,7 @@ def test_a_vehicle_that_never_gets_ready_is_waited_for_once(flavour: Flavour) ->
     assert f"{missing} within 90 s" in trial.run.outcomes[1].detail
     what = "ready to arm within 90 s (SYS_STATUS, PREARM_CHECK)"
     waited_for = what if is_px4 else "LOCAL_POSITION_NED within 90 s"
-    assert trial.told == [f"waiting for the vehicle: {waited_for}"]
+    assert trial.texts == [f"waiting for the vehicle: {waited_for}"]
     assert trial.link.now_s < 120.0
     trial.require_left_in_order()
     assert exit_code(trial.run.outcomes) == 1
@@ -246,7 +248,7 @@ SLOW, CAMPAIGN = pytest.mark.slow, pytest.mark.campaign
 
 
 def incidents_of(number: int) -> tuple[list[Incident], float, float]:
-    """What goes wrong in a run: the incidents, when it is ready, and when Ctrl-C is pressed."""
+    """Return the incidents of a run, the time it is ready, and that of Ctrl-C."""
     start_s = random.Random(number).uniform(20.0, 900.0)
     stall = AutopilotStall(start_s=start_s, duration_s=30.0)
     runs: list[tuple[list[Incident], float, float]] = [
@@ -276,5 +278,5 @@ def test_twenty_runs_end_with_a_summary_and_the_vehicle_as_it_was(
     assert code == 1 or (may_pass_unseen and code == 3)
     assert is_gone or trial.run.left_behind == []
     trial.require_left_in_order()
-    told = [flavour.value, str(number), summary(trial.run.outcomes), *trial.run.problems]
-    sys.stdout.write("; ".join(told) + "\n")  # pytest -s shows it
+    texts = [flavour.value, str(number), summary(trial.run.outcomes), *trial.run.problems]
+    sys.stdout.write("; ".join(texts) + "\n")  # pytest -s shows it

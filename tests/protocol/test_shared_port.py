@@ -44,7 +44,7 @@ class Port:
         self.clients = [Client(address) for address in addresses or PORTS]
         self.now_s = 0.0
 
-    def tell(
+    def send(
         self,
         client: Client,
         message: Message,
@@ -58,7 +58,7 @@ class Port:
 
     def ask(self, client: Client, number: int, rate_hz: float) -> None:
         values = (float(number), 1e6 / rate_hz, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self.tell(client, mavlink.MAVLink_command_long_message(1, 1, SET_INTERVAL, 0, *values))
+        self.send(client, mavlink.MAVLink_command_long_message(1, 1, SET_INTERVAL, 0, *values))
 
     def run(self, duration_s: float) -> None:
         until_s = self.now_s + duration_s
@@ -143,12 +143,12 @@ def test_a_plan_is_uploaded_by_a_client_that_changes_its_streams_meanwhile() -> 
     port = Port("px4", PORTS[0], LURKER)
     client = port.clients[0]
     port.run(3.0)
-    port.tell(client, mavlink.MAVLink_mission_count_message(1, 1, 1, 0))
+    port.send(client, mavlink.MAVLink_mission_count_message(1, 1, 1, 0))
     port.ask(client, ATTITUDE, 7.0)
     item = mavlink.MAVLink_mission_item_int_message(
         1, 1, 0, 6, 16, 1, 1, 0.0, 2.0, 0.0, 0.0, 473_978_000, 85_457_000, 20.0, 0
     )
-    port.tell(client, item)
+    port.send(client, item)
     (ack,) = client.messages(mavlink.MAVLink_mission_ack_message)
     assert isinstance(ack, mavlink.MAVLink_mission_ack_message)
     assert ack.type == mavlink.MAV_MISSION_ACCEPTED
@@ -158,11 +158,11 @@ def test_a_mavlink_1_client_is_answered_in_mavlink_1_beside_others_of_mavlink_2(
     port = Port("px4", PORTS[0], LURKER)
     modern, old = port.clients
     port.run(3.0)
-    port.tell(modern, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
-    port.tell(old, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), is_mavlink1=True)
+    port.send(modern, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+    port.send(old, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), is_mavlink1=True)
     port.clear()
     port.run(1.0)
-    port.tell(old, mavlink.MAVLink_param_request_list_message(1, 1), is_mavlink1=True)
+    port.send(old, mavlink.MAVLink_param_request_list_message(1, 1), is_mavlink1=True)
     port.run(1.0)
     own = [frame for frame in old.frames if frame[MAGIC_INDEX] == MAVLINK1]
     assert len(own) > 100

@@ -42,7 +42,7 @@ def set_up(probe: VehicleProbe, key: bytes, target: tuple[int, int] | None = Non
 
 
 def is_signing(probe: VehicleProbe) -> bool:
-    """Whether what it sends is signed with the key, from the next message on."""
+    """Return True if messages are signed with the key, from the next one on."""
     mark = probe.mark
     probe.run(1.0)
     signatures = [

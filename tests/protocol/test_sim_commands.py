@@ -227,9 +227,9 @@ def test_timesync_and_ping_requests_are_answered_and_answers_are_not(
 def test_a_rangefinder_tells_the_height_above_the_ground() -> None:
     station = GroundStation()
     station.take_off(12.0)
-    told = station.last(mavlink.MAVLink_distance_sensor_message)
-    assert told.current_distance == pytest.approx(-100.0 * station.position[2], abs=15.0)
-    assert told.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    reported = station.last(mavlink.MAVLink_distance_sensor_message)
+    assert reported.current_distance == pytest.approx(-100.0 * station.position[2], abs=15.0)
+    assert reported.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
 
 
 def test_payload_has_a_heartbeat_of_its_own_and_is_no_autopilot(station: GroundStation) -> None:

@@ -80,8 +80,8 @@ def test_it_stays_on_the_ground_until_it_is_sent_up_and_home_is_where_it_believe
 
 def test_the_compass_error_is_in_the_heading_that_is_told_and_flown() -> None:
     station = flying(Scenario(navigation=ERRS), yaw=0.5, mask=0x09F8)
-    told = station.last(mavlink.MAVLink_attitude_message)
-    assert told.yaw == pytest.approx(0.5, abs=0.01)
+    reported = station.last(mavlink.MAVLink_attitude_message)
+    assert reported.yaw == pytest.approx(0.5, abs=0.01)
     true_rad = station.sim.vehicle.body.yaw_ned_rad
     assert true_rad == pytest.approx(0.5 - math.radians(6.0), abs=0.01)
 
@@ -157,8 +157,8 @@ def test_the_wind_leans_the_vehicle_and_turns_what_its_antenna_prints() -> None:
     antenna = AntennaModelParams(kind="line")
     scenario = Scenario(channel=QUIET, wind=wind, payload=PayloadParams(antenna=antenna))
     station = flying(scenario)
-    told = station.last(mavlink.MAVLink_attitude_message)
-    assert math.degrees(told.pitch) == pytest.approx(-10.0, abs=0.5)
+    reported = station.last(mavlink.MAVLink_attitude_message)
+    assert math.degrees(reported.pitch) == pytest.approx(-10.0, abs=0.5)
     calm = rangings(flying(Scenario(channel=QUIET, payload=PayloadParams(antenna=antenna))))[-1]
     assert rangings(station)[-1].bearing == pytest.approx(calm.bearing, abs=0.01)  # pitch: no turn
     east = WindParams(east_mps=-10.0, let_through=0.0)
@@ -189,5 +189,5 @@ def test_what_lags_tells_of_where_the_vehicle_was() -> None:
 
     assert np.abs(errors_m(0.0)).max() < 1e-3
     late = errors_m(0.4)
-    assert late.max() > 0.5  # drawing near: it tells the range of 2 m before
+    assert late.max() > 0.5  # drawing near: it reports the range of 2 m before
     assert late.min() < -0.5  # and going away

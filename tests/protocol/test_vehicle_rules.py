@@ -16,7 +16,7 @@ from tests.protocol.conformance_rigs import (
 )
 
 GOOD = (RuleVerdict.PASS, RuleVerdict.NOTED)
-"""The simulator may be as lax as the real autopilot that a note tells of."""
+"""Rules in which the simulator may be as lax as the real autopilot of a note."""
 NO_OCCASION = {
     ("commands.long_running_command_reports_and_can_be_cancelled", Flavour.ARDUPILOT): (
         "calibration is answered by 0 at once"

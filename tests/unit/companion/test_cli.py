@@ -1,4 +1,4 @@
-"""What the `companion` command refuses before any socket opens: one line, exit code 2."""
+"""Refusals of the `companion` command before any socket opens: one line, exit code 2."""
 
 from __future__ import annotations
 

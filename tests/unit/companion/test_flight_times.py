@@ -38,11 +38,11 @@ class Watching(run.FlightView):
         del kind, fields, now_s
         self.noted_unix_s.append(time.time())
 
-    def least_delay_s(self, told_unix_s: list[float]) -> float:
-        """How much later records were made than a log says; a busy computer only adds to it."""
-        assert len(told_unix_s) >= 3
-        pairs = zip(self.noted_unix_s, told_unix_s, strict=False)
-        return min(noted_s - told_s for noted_s, told_s in pairs)
+    def least_delay_s(self, logged_unix_s: list[float]) -> float:
+        """Return the least delay of records after the log's times; a busy computer adds to it."""
+        assert len(logged_unix_s) >= 3
+        pairs = zip(self.noted_unix_s, logged_unix_s, strict=False)
+        return min(noted_s - logged_s for noted_s, logged_s in pairs)
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         if not endpoint.binding.is_bound:
@@ -72,11 +72,11 @@ def test_a_slow_start_does_not_shift_them(tmp_path: Path, monkeypatch: pytest.Mo
     (directory,) = (tmp_path / "logs").iterdir()
     started_unix_s = json.loads((directory / FLIGHT).read_text())["started_unix_s"]
     lines = map(json.loads, (directory / EVENTS).read_text().splitlines())
-    told_s = [started_unix_s + line["t_s"] for line in lines if line["kind"] != "text"]
-    assert watching.least_delay_s(told_s) == pytest.approx(0.0, abs=NEAR_S)
+    logged_s = [started_unix_s + line["t_s"] for line in lines if line["kind"] != "text"]
+    assert watching.least_delay_s(logged_s) == pytest.approx(0.0, abs=NEAR_S)
     heard = next(read_tlog(directory / TLOG))
     assert heard.unix_us / 1e6 == pytest.approx(watching.heard_unix_s, abs=NEAR_S)
     with (directory / MCAP).open("rb") as file:
         messages = reader.make_reader(file).iter_messages(topics=["/events"])
-        told_s = [message.log_time / 1e9 for _, _, message in messages]
-    assert watching.least_delay_s(told_s) == pytest.approx(0.0, abs=NEAR_S)
+        logged_s = [message.log_time / 1e9 for _, _, message in messages]
+    assert watching.least_delay_s(logged_s) == pytest.approx(0.0, abs=NEAR_S)

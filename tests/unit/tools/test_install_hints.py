@@ -1,4 +1,4 @@
-"""What the programs say to install can be installed: neither distribution is in a package index."""
+"""Install hints of the programs can be followed: neither distribution is in a package index."""
 
 from __future__ import annotations
 

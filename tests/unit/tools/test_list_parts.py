@@ -24,7 +24,7 @@ def auditor(folder: Path, said: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("parts", "code", "told"),
+    ("parts", "code", "line"),
     [
         ([CLEAN, OURS], 0, "1 parts looked up, 0 with known weaknesses"),
         ([CLEAN, UNKNOWN], 1, "not looked up, unknown to the package index: rich"),
@@ -34,13 +34,13 @@ def auditor(folder: Path, said: str) -> Path:
 def test_what_is_weak_or_unknown_fails(
     parts: list[object],
     code: int,
-    told: str,
+    line: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     program = auditor(tmp_path, json.dumps({"dependencies": parts}) + "\n")
     assert audit(program, tmp_path) == code
-    assert told in capsys.readouterr().out.splitlines()
+    assert line in capsys.readouterr().out.splitlines()
 
 
 def test_a_service_that_cannot_be_reached_fails_in_one_line(

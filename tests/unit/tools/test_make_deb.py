@@ -36,7 +36,7 @@ def wheels_of_manuals(folder: Path) -> Path:
 
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """All of the package but its wheels, of a time long ago."""
+    """Lay out all of the package but its wheels, dated long ago."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     root = tmp_path / "tree"
     make_deb.lay_out_system(root)

@@ -17,9 +17,9 @@ MODULE = re.compile(r"(?<![\w./-])(?:companion|sim_link)(?:\.[A-Za-z_]\w*)+")
 IMPORT = re.compile(r"^from ((?:companion|sim_link)(?:\.\w+)+) import ([\w, ]+)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 CONDITION = re.compile(r"\bcompanion\.\w+")
-"""What a mission waits for is called like a module."""
+"""Conditions of missions that have names like modules."""
 NO_PATHS = {"companion/doctor"}
-"""What only looks like one: alternatives."""
+"""Texts that only look like paths: alternatives."""
 OF_OTHERS = {
     "test_own.py",
     "my_radio.py",
@@ -36,7 +36,7 @@ OF_SETUP = {"companion.yaml", "companion.service"}
 
 
 def has_path(text: str) -> bool:
-    """Whether it is there, as a pattern with * or {a,b} or as it stands."""
+    """Return True if a path exists, as a pattern with * or {a,b} or as it stands."""
     choice = re.search(r"\{([^}]*)\}", text)
     if choice is not None:
         parts = choice[1].split(",")
@@ -45,7 +45,7 @@ def has_path(text: str) -> bool:
 
 
 def has_file(text: str) -> bool:
-    """Whether the end of some path of the product, the tests or the tools is this."""
+    """Return True if a path of the product, the tests or the tools ends with a text."""
     return (ROOT / text).exists() or any(
         path.match(text)
         for folder in FOLDERS.split("|")
@@ -54,7 +54,7 @@ def has_file(text: str) -> bool:
 
 
 def has_module(text: str) -> bool:
-    """Whether it is a package, a module, or a name that a module defines."""
+    """Return True if a text is a package, a module, or a name that a module defines."""
     *folders, last = text.split(".")
     if ROOT.joinpath(*folders, last).is_dir() or ROOT.joinpath(*folders, last + ".py").exists():
         return True

@@ -12,7 +12,7 @@ PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
 
 
 def glossary_words() -> set[str]:
-    """What the glossary explains is spelt as it is meant."""
+    """Return the words of the glossary's terms, which are spelt as intended."""
     text = (ROOT / "docs/glossary.md").read_text(encoding="utf-8")
     terms = re.findall(r"^- \*\*([^*]+)\*\*:", text, re.MULTILINE)
     return {word.lower() for term in terms for word in re.findall(r"\w+", term)}

@@ -77,7 +77,7 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
 
 @pytest.fixture
 def jsonschema() -> ModuleType:
-    """Not loaded where tests are only collected: it takes two seconds of every worker."""
+    """Return jsonschema, which is not imported at collection: it takes two seconds a worker."""
     return importlib.import_module("jsonschema")
 
 

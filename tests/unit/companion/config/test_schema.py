@@ -61,9 +61,12 @@ PAGE_OF = (
 def test_every_planner_and_filter_is_on_its_page_and_in_the_default_preset(
     kinds: object, page: str
 ) -> None:
-    told, preset = (ROOT / page).read_text(), (ROOT / "configs/companion/default.yaml").read_text()
+    page_text, preset = (
+        (ROOT / page).read_text(),
+        (ROOT / "configs/companion/default.yaml").read_text(),
+    )
     for kind in get_args(kinds):
-        assert f"`{kind}`" in told, f"{kind} is not in {page}"
+        assert f"`{kind}`" in page_text, f"{kind} is not in {page}"
         assert re.search(rf"\b{kind}\b", preset), f"{kind} is not in default.yaml"
 
 

@@ -99,17 +99,17 @@ def test_a_computer_that_is_too_busy_is_announced_with_the_speed_that_it_keeps_u
     clock = Pacer(tmp_path / "clock", 4.0)
     simulator: Any = SimpleNamespace(is_alive=True)
     watch = DemoWatch(simulator, 240.0, clock)
-    told: list[Any] = []
+    events: list[Any] = []
     endpoint: Any = SimpleNamespace(
         binding=SimpleNamespace(is_bound=False, heard_s=0.0),
         session=SimpleNamespace(phase=Phase.WAITING, has_finished=False),
-        handle_event=told.append,
+        handle_event=events.append,
     )
     watch.update(endpoint, 1.0)
     clock.speed = 2.0  # as the pacer lowers it
     watch.update(endpoint, 2.0)
     watch.update(endpoint, 3.0)
-    assert [event.text for event in told] == ["this computer is too busy for 4x: going on at 2x"]
+    assert [event.text for event in events] == ["this computer is too busy for 4x: going on at 2x"]
 
 
 def test_the_end_says_both_radii_and_whose_error_the_absolute_one_has() -> None:

@@ -22,7 +22,7 @@ ORIGIN = LocalOrigin(47.397742, 8.545594, 488.0)
 
 
 def fence_about(origin: LocalOrigin, corners: Corners) -> GeoFence:
-    """A fence as an autopilot tells it."""
+    """Return a fence as an autopilot reports it."""
     positions = (origin.geodetic_from_enu((east, north, 0.0))[:2] for east, north in corners)
     return GeoFence(GeoArea(tuple(positions)))
 

@@ -1,4 +1,4 @@
-"""What the doctor makes of what it found."""
+"""Results of the doctor's checks for given facts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the doctor sees of this computer."""
+"""Facts that the doctor collects of this computer."""
 
 from __future__ import annotations
 

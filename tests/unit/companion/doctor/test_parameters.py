@@ -1,4 +1,4 @@
-"""What the autopilot's parameters mean for a flight."""
+"""Consequences of the autopilot's parameters for a flight."""
 
 from __future__ import annotations
 

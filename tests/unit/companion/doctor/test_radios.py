@@ -1,4 +1,4 @@
-"""What the doctor says of radios that it listened to."""
+"""Results of the doctor about radios that it listened to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What becomes of directions that an antenna array prints, told and not told to the estimator."""
+"""Directions of an antenna array, with and without its kind configured in the estimator."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def test_a_direction_that_cannot_be_used_is_counted_and_its_range_stays(
     reason: RejectReason,
 ) -> None:
     antenna = AntennaParams(kind=kind, field_of_view_deg=120.0)
-    told = replace(PRINTED, bearing_body_rad=bearing_rad, is_array_angle=is_array_angle)
-    seen = seen_in_enu(told, attitude, antenna)
+    printed = replace(PRINTED, bearing_body_rad=bearing_rad, is_array_angle=is_array_angle)
+    seen = seen_in_enu(printed, attitude, antenna)
     tracker = _tracker(antenna)
     assert tracker.fuse(seen, POSITION, 0.0).reject_reason is None
     assert tracker.rejected[reason] == 1
@@ -84,7 +84,7 @@ def test_a_cosine_says_as_much_from_anywhere(east_m: float) -> None:
 
 
 def _across(east_m: float) -> float:
-    """Of an axis along east or north, what is seen across the line of sight, squared."""
+    """Return the squared part across the line of sight of an axis along east or north."""
     _, right, _ = antenna_axes_enu((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     u = np.array([-east_m, 0.0, -20.0]) / math.hypot(east_m, 20.0)
     partial = np.array(right) - float(np.dot(right, u)) * u
@@ -92,8 +92,8 @@ def _across(east_m: float) -> float:
 
 
 def test_a_direction_by_north_needs_no_attitude_of_a_level_planar_array() -> None:
-    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_enu_rad=0.7)
-    seen = seen_in_enu(told, None, AntennaParams(kind="planar"))
+    printed = RangingMeasurement(emitter_id=1, measured_at_s=0.0, bearing_enu_rad=0.7)
+    seen = seen_in_enu(printed, None, AntennaParams(kind="planar"))
     assert seen.bearing_enu_rad == pytest.approx(0.7)
     assert seen.array is not None
 
@@ -104,11 +104,11 @@ def test_an_array_that_tells_a_direction_by_north_is_none_and_that_is_counted(
 ) -> None:
     antenna = AntennaParams(kind=kind)
     tracker = _tracker(antenna)
-    told = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=29.0, bearing_enu_rad=0.7)
-    assert tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0).reject_reason is None
+    printed = RangingMeasurement(emitter_id=1, measured_at_s=0.0, range_m=29.0, bearing_enu_rad=0.7)
+    assert tracker.fuse(seen_in_enu(printed, LEVEL, antenna), POSITION, 0.0).reject_reason is None
     assert tracker.rejected == {RejectReason.BY_NORTH: 1}
     assert len(tracker.hypotheses) > 1
-    alone = seen_in_enu(replace(told, range_m=None), LEVEL, antenna)
+    alone = seen_in_enu(replace(printed, range_m=None), LEVEL, antenna)
     assert tracker.fuse(alone, POSITION, 0.0).reject_reason is RejectReason.BY_NORTH
 
 
@@ -117,9 +117,9 @@ def test_the_field_of_view_of_a_two_axis_array_is_a_cone(
     elevation_rad: float, is_seen: bool
 ) -> None:
     antenna = AntennaParams(kind="two_axis", field_of_view_deg=120.0)
-    told = replace(PRINTED, elevation_rad=elevation_rad, is_array_angle=True)
+    printed = replace(PRINTED, elevation_rad=elevation_rad, is_array_angle=True)
     tracker = _tracker(antenna)
-    tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0)
+    tracker.fuse(seen_in_enu(printed, LEVEL, antenna), POSITION, 0.0)
     assert tracker.rejected[RejectReason.OUT_OF_VIEW] == (not is_seen)
 
 
@@ -145,8 +145,8 @@ def test_absurd_angles_of_an_array_are_refused(
 
 
 def test_the_elevation_of_an_array_that_is_not_configured_is_not_believed() -> None:
-    told = replace(PRINTED, is_array_angle=True)
-    row = FilterParams().kernel_row(seen_in_enu(told, LEVEL, AntennaParams()), POSITION)
+    printed = replace(PRINTED, is_array_angle=True)
+    row = FilterParams().kernel_row(seen_in_enu(printed, LEVEL, AntennaParams()), POSITION)
     assert np.isnan(row[VALUES:SIGMAS]).tolist() == [False, True, True]
 
 
@@ -163,8 +163,8 @@ def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
 ) -> None:
     """It prints the same of both."""
     antenna = AntennaParams(kind="two_axis", mount_deg=mount_deg)
-    told = replace(PRINTED, range_m=range_m, bearing_body_rad=0.1, elevation_rad=elevation_rad)
-    seen = seen_in_enu(told, LEVEL, antenna)  # its nose is to the north
+    printed = replace(PRINTED, range_m=range_m, bearing_body_rad=0.1, elevation_rad=elevation_rad)
+    seen = seen_in_enu(printed, LEVEL, antenna)  # its nose is to the north
     tracker = _tracker(antenna)
     tracker.fuse(seen, POSITION, 0.0)
     assert {math.copysign(1.0, h.position_enu_m[1]) for h in tracker.hypotheses} == sides
@@ -174,20 +174,20 @@ def test_a_two_axis_array_leaves_what_is_behind_unless_that_is_the_sky(
 
 def test_without_a_range_a_line_leaves_two_sides() -> None:
     antenna = AntennaParams(kind="line")
-    told = replace(PRINTED, range_m=None, elevation_rad=None)
+    printed = replace(PRINTED, range_m=None, elevation_rad=None)
     tracker = _tracker(antenna)
-    tracker.fuse(seen_in_enu(told, LEVEL, antenna), POSITION, 0.0)
+    tracker.fuse(seen_in_enu(printed, LEVEL, antenna), POSITION, 0.0)
     norths = [h.position_enu_m[1] for h in tracker.hypotheses]
     assert min(norths) < 0.0 < max(norths)
     assert all(h.position_enu_m[0] > 0.0 for h in tracker.hypotheses)
 
 
 def test_what_a_planar_array_says_from_right_above_is_no_wrong_unit() -> None:
-    """Bearings alone do not tell how steep they are, and turn at random near the normal."""
+    """Bearings alone have no information on their elevation, and turn at random near the normal."""
     antenna = AntennaParams(kind="planar")
     tracker, rng = _tracker(antenna), np.random.default_rng(3)
     for index in range(120):
         at_s = 0.1 * index
-        told = RangingMeasurement(1, at_s, bearing_body_rad=float(rng.uniform(-3.1, 3.1)))
-        tracker.fuse(seen_in_enu(told, LEVEL, antenna), (0.05 * index, 0.0, 20.0), at_s)
+        printed = RangingMeasurement(1, at_s, bearing_body_rad=float(rng.uniform(-3.1, 3.1)))
+        tracker.fuse(seen_in_enu(printed, LEVEL, antenna), (0.05 * index, 0.0, 20.0), at_s)
     assert tracker.rejected[RejectReason.WRONG_UNIT] == 0

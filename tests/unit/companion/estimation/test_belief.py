@@ -1,4 +1,4 @@
-"""A belief that outlives its tracker: doubted, honest, and far ahead of beginning anew."""
+"""A belief that outlives its tracker: doubted, honest, and far better than a fresh start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An estimate moves along with navigation that jumps, as if it had always been told so."""
+"""An estimate moves along with navigation that jumps, as if positions had always been so."""
 
 from __future__ import annotations
 

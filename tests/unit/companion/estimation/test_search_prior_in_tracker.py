@@ -1,4 +1,4 @@
-"""What was searched in vain, in the weights of a tracker's hypotheses."""
+"""The area searched in vain, in the weights of a tracker's hypotheses."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def _hypothesis(
     return Hypothesis(math.log(probability), state, least)
 
 
-def _told(
+def _stated(
     *hypotheses: Hypothesis,
     params: FilterParams = PLANE,
     is_diverged: bool = False,
@@ -55,36 +55,36 @@ def _told(
 
 
 def test_one_place_is_told_with_the_vehicles_own_error() -> None:
-    told = _told(_hypothesis())
-    assert told.position_enu_m == (0.0, 10.0)
-    np.testing.assert_allclose(told.covariance_m2, 0.25 * np.eye(2))
-    assert told.r95_m == pytest.approx(0.5 * R95_OF_EQUAL_AXES)
-    assert told.state is EstimateState.LOCALISED
-    assert (told.range_offset_m, told.bearing_offset_rad) == (1.5, -0.02)
-    assert (told.time_s, told.measurements) == (5.0, 77)
-    assert told.alternative_enu_m is None
+    estimate = _stated(_hypothesis())
+    assert estimate.position_enu_m == (0.0, 10.0)
+    np.testing.assert_allclose(estimate.covariance_m2, 0.25 * np.eye(2))
+    assert estimate.r95_m == pytest.approx(0.5 * R95_OF_EQUAL_AXES)
+    assert estimate.state is EstimateState.LOCALISED
+    assert (estimate.range_offset_m, estimate.bearing_offset_rad) == (1.5, -0.02)
+    assert (estimate.time_s, estimate.measurements) == (5.0, 77)
+    assert estimate.alternative_enu_m is None
 
 
 def test_a_vague_place_is_still_being_searched() -> None:
-    told = _told(_hypothesis(sigma_m=1.5))
-    assert told.r95_m > 2.0
-    assert told.state is EstimateState.SEARCHING
+    estimate = _stated(_hypothesis(sigma_m=1.5))
+    assert estimate.r95_m > 2.0
+    assert estimate.state is EstimateState.SEARCHING
 
 
 def test_a_filter_that_was_started_anew_is_diverged_whatever_it_says() -> None:
-    assert _told(_hypothesis(), is_diverged=True).state is EstimateState.DIVERGED
+    assert _stated(_hypothesis(), is_diverged=True).state is EstimateState.DIVERGED
     two = (_hypothesis(0.0, 0.5), _hypothesis(50.0, 0.5))
-    told = _told(*two, is_diverged=True)
-    assert told.state is EstimateState.DIVERGED
-    assert told.alternative_enu_m is None
+    estimate = _stated(*two, is_diverged=True)
+    assert estimate.state is EstimateState.DIVERGED
+    assert estimate.alternative_enu_m is None
 
 
 def test_two_likely_places_are_ambiguous_and_both_are_told() -> None:
-    told = _told(_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
-    assert told.state is EstimateState.AMBIGUOUS
-    assert told.position_enu_m == (0.0, 10.0)
-    assert told.alternative_enu_m == (50.0, 10.0)
-    assert 49.0 < told.r95_m < 52.0
+    estimate = _stated(_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
+    assert estimate.state is EstimateState.AMBIGUOUS
+    assert estimate.position_enu_m == (0.0, 10.0)
+    assert estimate.alternative_enu_m == (50.0, 10.0)
+    assert 49.0 < estimate.r95_m < 52.0
 
 
 @pytest.mark.parametrize(
@@ -95,8 +95,8 @@ def test_two_likely_places_are_ambiguous_and_both_are_told() -> None:
     ],
 )
 def test_an_unlikely_one_does_not_count(probability: float, state: EstimateState) -> None:
-    told = _told(_hypothesis(0.0, 1.0 - probability), _hypothesis(50.0, probability))
-    assert told.state is state
+    estimate = _stated(_hypothesis(0.0, 1.0 - probability), _hypothesis(50.0, probability))
+    assert estimate.state is state
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.99])
@@ -107,34 +107,34 @@ def test_places_too_vague_to_be_told_apart_keep_the_circle_of_both(probability: 
     ]
     merged = consolidated(both)
     assert len(merged) == 1
-    assert _told(*merged).position_enu_m == (-2.7, 10.0)
-    assert _told(*merged).r95_m == pytest.approx(_told(*both).r95_m, rel=0.1)
+    assert _stated(*merged).position_enu_m == (-2.7, 10.0)
+    assert _stated(*merged).r95_m == pytest.approx(_stated(*both).r95_m, rel=0.1)
 
 
 def test_many_places_are_no_place() -> None:
     ring = [_hypothesis(50.0 * i, 1.0) for i in range(MAX_AMBIGUOUS + 1)]
-    assert _told(*ring).state is EstimateState.SEARCHING
-    assert _told(*ring[:-1]).state is EstimateState.AMBIGUOUS
+    assert _stated(*ring).state is EstimateState.SEARCHING
+    assert _stated(*ring[:-1]).state is EstimateState.AMBIGUOUS
 
 
 def test_certainty_is_not_below_what_the_window_found() -> None:
     assert np.diag(position_covariance_m2(_hypothesis(least_m=0.9), 0.3)) == pytest.approx(0.9)
     assert np.diag(position_covariance_m2(_hypothesis(least_m=0.1), 0.3)) == pytest.approx(0.25)
-    assert _told(_hypothesis(least_m=0.9)).r95_m == pytest.approx(
+    assert _stated(_hypothesis(least_m=0.9)).r95_m == pytest.approx(
         math.hypot(0.9, 0.3) * R95_OF_EQUAL_AXES
     )
-    assert _told(_hypothesis(least_m=5.0)).state is EstimateState.SEARCHING
+    assert _stated(_hypothesis(least_m=5.0)).state is EstimateState.SEARCHING
 
 
 def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
-    known = _told(_hypothesis())
+    known = _stated(_hypothesis())
     assert (known.height_m, known.height_sigma_m, known.range_scale) == (2.0, None, 0.0)
     params = FilterParams(target_height_m=2.0, target_height_sigma_m=1.25, range_scale_sigma=0.05)
     mean, sigmas = params.prior
     mean[4:] = 0.03, 6.0
     state = FilterState.of(0.0, mean, np.diag(sigmas**2))
-    told = _told(Hypothesis(0.0, state), params=params)
-    assert (told.height_m, told.height_sigma_m, told.range_scale) == (6.0, 1.25, 0.03)
+    estimate = _stated(Hypothesis(0.0, state), params=params)
+    assert (estimate.height_m, estimate.height_sigma_m, estimate.range_scale) == (6.0, 1.25, 0.03)
 
 
 RTK = PositionAccuracy(0.02, 0.03, is_reported=True)
@@ -143,12 +143,12 @@ CITY = PositionAccuracy(6.0, 9.0, is_reported=True)
 
 @pytest.mark.parametrize("own", [DEFAULT_ACCURACY, RTK, CITY])
 def test_the_absolute_radius_has_the_own_place_in_it(own: PositionAccuracy) -> None:
-    told = _told(_hypothesis(), own=own)
+    estimate = _stated(_hypothesis(), own=own)
     expected_m = math.hypot(0.5, own.effective_m) * R95_OF_EQUAL_AXES
-    assert told.absolute_r95_m == pytest.approx(expected_m)
+    assert estimate.absolute_r95_m == pytest.approx(expected_m)
     grown = (0.25 + own.effective_m**2) * np.eye(2)
-    np.testing.assert_allclose(told.absolute_covariance_m2, grown)
-    assert told.own == own
+    np.testing.assert_allclose(estimate.absolute_covariance_m2, grown)
+    assert estimate.own == own
 
 
 def test_a_receiver_without_corrections_counts_half_as_much_again() -> None:
@@ -158,46 +158,50 @@ def test_a_receiver_without_corrections_counts_half_as_much_again() -> None:
 @pytest.mark.parametrize("own", [RTK, CITY])
 def test_the_own_place_changes_nothing_that_stops_the_search(own: PositionAccuracy) -> None:
     for hypotheses in ([_hypothesis()], [_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4)]):
-        here, there = _told(*hypotheses), _told(*hypotheses, own=own)
+        here, there = _stated(*hypotheses), _stated(*hypotheses, own=own)
         assert here.settled_r95_m == there.settled_r95_m
         assert (here.state, here.covariance_m2) == (there.state, there.covariance_m2)
 
 
 def test_the_absolute_radius_counts_rivals_and_never_promises_more() -> None:
     rivals = (_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
-    assert _told(*rivals, own=CITY).absolute_r95_m > _told(*rivals).r95_m > 49.0
+    assert _stated(*rivals, own=CITY).absolute_r95_m > _stated(*rivals).r95_m > 49.0
     for share in np.linspace(0.02, 0.12, 21):
         rivals = (_hypothesis(0.0, 1.0 - share), _hypothesis(12.0, share))
-        told = _told(*rivals, own=CITY)
-        assert told.absolute_r95_m >= told.r95_m
+        estimate = _stated(*rivals, own=CITY)
+        assert estimate.absolute_r95_m >= estimate.r95_m
 
 
 def test_a_radius_that_nobody_worked_out_is_that_of_round_errors() -> None:
-    told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
-    assert told.absolute_r95_m == pytest.approx(math.hypot(1.0, 3.0 * R95_OF_EQUAL_AXES))
-    assert not told.own.is_reported
+    estimate = TargetEstimate(
+        0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9
+    )
+    assert estimate.absolute_r95_m == pytest.approx(math.hypot(1.0, 3.0 * R95_OF_EQUAL_AXES))
+    assert not estimate.own.is_reported
 
 
 def test_a_radius_that_is_no_number_does_not_become_a_good_one() -> None:
-    lost = replace(_told(_hypothesis()), r95_m=math.nan)
+    lost = replace(_stated(_hypothesis()), r95_m=math.nan)
     assert math.isnan(lost.absolute_r95_m)
-    told = replace(_told(_hypothesis()), absolute_r95_m=math.nan)
-    assert told.absolute_r95_m > told.r95_m
+    estimate = replace(_stated(_hypothesis()), absolute_r95_m=math.nan)
+    assert estimate.absolute_r95_m > estimate.r95_m
 
 
 def test_a_height_that_is_estimated_has_the_own_height_in_it() -> None:
-    told = TargetEstimate(0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9)
-    assert told.absolute_height_sigma_m is None
-    estimated = replace(told, height_sigma_m=12.0, own=CITY)
+    estimate = TargetEstimate(
+        0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9
+    )
+    assert estimate.absolute_height_sigma_m is None
+    estimated = replace(estimate, height_sigma_m=12.0, own=CITY)
     assert estimated.absolute_height_sigma_m == pytest.approx(15.0)
 
 
 def test_drift_of_the_vehicle_position_counts_once_and_not_in_what_stops_the_search() -> None:
-    still, wandering = _told(_hypothesis()), _told(_hypothesis(), wander_m=0.6)
+    still, wandering = _stated(_hypothesis()), _stated(_hypothesis(), wander_m=0.6)
     assert still.settled_r95_m == still.r95_m
     assert wandering.settled_r95_m == pytest.approx(R95_OF_EQUAL_AXES * 0.4)
     assert wandering.state is still.state
-    at_least = _told(_hypothesis(), wander_m=0.1)  # configured are 0.3 m
+    at_least = _stated(_hypothesis(), wander_m=0.1)  # configured are 0.3 m
     assert at_least.r95_m == pytest.approx(R95_OF_EQUAL_AXES * 0.5)
     sigma_m = math.hypot(0.4, 0.6)
     assert wandering.r95_m == pytest.approx(R95_OF_EQUAL_AXES * sigma_m)
@@ -205,14 +209,14 @@ def test_drift_of_the_vehicle_position_counts_once_and_not_in_what_stops_the_sea
 
 
 def test_of_two_places_it_is_told_how_far_to_the_side_decides() -> None:
-    assert aside_of_m(_told(_hypothesis())) is None
+    assert aside_of_m(_stated(_hypothesis())) is None
     near, far = (_hypothesis(east, 0.5) for east in (6.0, 80.0))
-    assert aside_of_m(_told(_hypothesis(probability=0.5), near)) == 10.0
-    assert aside_of_m(_told(_hypothesis(probability=0.5), far)) == pytest.approx(20.0)
+    assert aside_of_m(_stated(_hypothesis(probability=0.5), near)) == 10.0
+    assert aside_of_m(_stated(_hypothesis(probability=0.5), far)) == pytest.approx(20.0)
 
 
 def test_what_another_view_would_show_keeps_the_search_going() -> None:
-    lasting = _told(_hypothesis(), lasting_m=1.2)
+    lasting = _stated(_hypothesis(), lasting_m=1.2)
     assert lasting.settled_r95_m == lasting.r95_m
     assert lasting.r95_m == pytest.approx(R95_OF_EQUAL_AXES * math.hypot(0.4, 0.3, 1.2))
     assert lasting.state is EstimateState.SEARCHING
@@ -223,7 +227,7 @@ def test_an_estimate_is_kept_until_something_it_was_made_of_is_another_object() 
     made: list[TargetEstimate] = []
 
     def make() -> TargetEstimate:
-        made.append(_told(_hypothesis(east_m=float(len(made)))))
+        made.append(_stated(_hypothesis(east_m=float(len(made)))))
         return made[-1]
 
     hypotheses, count = (_hypothesis(),), 1000

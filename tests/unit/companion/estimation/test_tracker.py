@@ -217,8 +217,8 @@ def _coverage_of_run(seed: int, p_nlos: float, kind: AntennaKind) -> list[bool]:
     reflections.
     """
     rng = np.random.default_rng(seed)
-    told = TrackerParams(filter=FilterParams(antenna=AntennaParams(kind=kind)))
-    tracker, planner = TargetTracker(told, 1), LatchedCrossing(LatchedCrossingParams())
+    configured = TrackerParams(filter=FilterParams(antenna=AntennaParams(kind=kind)))
+    tracker, planner = TargetTracker(configured, 1), LatchedCrossing(LatchedCrossingParams())
     params = tracker.params.filter
     offset_m = rng.normal(0.0, params.range_offset_sigma_m)
     offset_rad = rng.normal(0.0, math.radians(params.bearing_offset_sigma_deg))

@@ -1,4 +1,4 @@
-"""What is missing, stale, lost or wrong is counted, and never makes R95 better.
+"""Missing, stale, lost or wrong inputs are counted, and never make R95 better.
 
 A two-axis array that looks down passes an emitter three times, 20 m above it. What a case changes
 is the same from `SPOILT_FROM_S` on, or all the time; the noise is the same in all of them.
@@ -76,7 +76,7 @@ def search(
         to = np.array(TARGET) - position
         slant_m = float(np.linalg.norm(to))
         _, y, z = np.array(axes) @ to / slant_m + SIGMA_RAD * rng.standard_normal(3)
-        told = RangingMeasurement(
+        printed = RangingMeasurement(
             emitter_id=1,
             measured_at_s=time_s,
             range_m=slant_m + 0.5 * rng.standard_normal(),
@@ -85,7 +85,7 @@ def search(
             is_array_angle=True,
         )
         own = before if time_s < lost_from_s else LOST
-        tracker.fuse(seen_in_enu(told, known(time_s, attitude), antenna), position, time_s, own)
+        tracker.fuse(seen_in_enu(printed, known(time_s, attitude), antenna), position, time_s, own)
     estimate = tracker.estimate(time_s)
     assert estimate is not None
     return tracker, estimate
@@ -134,7 +134,7 @@ def test_a_fix_that_is_lost_widens_both_radii(
 
 
 def test_an_accuracy_of_nothing_counts_as_one_that_nobody_told(undisturbed: TargetEstimate) -> None:
-    """As the receiver's 0 is read; and no accuracy that is told is worse than that by its name."""
+    """As the receiver's 0 is read; and no reported accuracy is worse than that by its name."""
     _, untold = search(before=LOST)
     _, poor = search(before=PositionAccuracy(2.0, 4.0, is_reported=True))
     assert undisturbed.absolute_r95_m < poor.absolute_r95_m
@@ -153,12 +153,12 @@ def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     own = PositionAccuracy(1.0, 0.0, is_reported=True)
-    (_, told), (_, walls) = search(before=own), search(before=own, kind="auto")
+    (_, printed), (_, walls) = search(before=own), search(before=own, kind="auto")
     (_, fixed) = search(kind="auto")
     monkeypatch.setattr(
         "companion.estimation.window.shared_errors.URBAN_GNSS_RATIO", GNSS_ACCURACY_FACTOR
     )
-    assert search(before=own)[1] == told
+    assert search(before=own)[1] == printed
     assert search(kind="auto")[1] == fixed
     _, sky = search(before=own, kind="auto")
     assert sky.r95_m < walls.r95_m

@@ -94,7 +94,7 @@ def truth(size: int = 4) -> Vector:
 
 
 def measurement_of(row: Vector, time_s: float) -> tuple[RangingMeasurement, PositionEnu]:
-    """A row as the tracker is told of it, and where the sensor was."""
+    """Return the measurement of a row, and the position of the sensor."""
     east, north, up, *rest = row.tolist()
     range_m, bearing_rad, up_rad = (None if math.isnan(v) else v for v in rest[:3])
     bearing_rad = None if bearing_rad is None else math.remainder(bearing_rad, 2.0 * math.pi)

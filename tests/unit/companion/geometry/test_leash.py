@@ -1,4 +1,4 @@
-"""How far along a straight way one may go from home."""
+"""The allowed distance from home along a straight way."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_no_way_leads_too_far_and_none_is_cut_too_soon(
 
 
 def test_a_way_along_the_border_of_the_reach_ends_where_it_begins() -> None:
-    """Rounding puts this start outside its own distance from home, by less than it can tell."""
+    """Rounding puts this start outside its own distance from home, by less than its resolution."""
     start, home = (9.9, 8.1), (0.0, 0.0)
     aside = (start[0] - 4.0 * start[1], start[1] + 4.0 * start[0])
     assert limited_to_reach(start, aside, home, 1.0) == pytest.approx(start, abs=1e-6)

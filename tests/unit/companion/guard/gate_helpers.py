@@ -1,4 +1,4 @@
-"""What the tests of the guard share: limits, and a vehicle that flies what it is given."""
+"""Helpers of the guard's tests: limits, and a vehicle that flies its setpoints."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def counted(original: Callable[..., object], seen: list[str]) -> Callable[..., o
 
 
 def looks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What is called to look at an edge, from now on."""
+    """Record the functions that are called for an edge, from now on."""
     seen: list[str] = []
     for module in (obstacles, polygons):
         for name in NAMES:

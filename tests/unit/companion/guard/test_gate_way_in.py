@@ -51,7 +51,7 @@ def come_in(
 
 
 def assert_is_gentle(steps: list[Guarded]) -> None:
-    """From where the vehicle was, within speed, climb and acceleration."""
+    """Assert steps from the vehicle's position within speed, climb and acceleration."""
     for before, after in pairwise(steps):
         assert math.dist(before.position_enu_m[:2], after.position_enu_m[:2]) <= 5.0 * DT_S + 1e-9
         climbed_m = abs(after.position_enu_m[2] - before.position_enu_m[2])

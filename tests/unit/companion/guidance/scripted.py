@@ -96,19 +96,19 @@ class ScriptedFlight:
         self.is_failsafe = False
         self.position_enu_m: PositionEnu = (0.0, 0.0, 20.0)
         self.targets: dict[int, PositionEnu] = {1: TARGET}
-        """What the radio hears, by id."""
+        """Emitters that the radio hears, by id."""
         self.bearing_error_rad = 0.0
-        """What is wrong with the radio's bearings, beside noise."""
+        """Error of the radio's bearings, beside noise."""
         self.follows = False
-        """Whether the vehicle is where the last setpoint was."""
+        """True if the vehicle is always at the last setpoint."""
         self.has_link = True
         self.has_heartbeat = True
         self.has_position = True
         self.has_ranging = True
         self.reports_landed = autopilot is Autopilot.ARDUPILOT
-        """Whether it says by itself that it is in the air where it is `ready`, and goes on to."""
+        """True if it reports by itself that it is in the air once `ready`, and goes on to."""
         self._landed: LandedState | None = None
-        """What it reports twice a second, once it reported it."""
+        """Report that it repeats twice a second once it was given."""
         self._rng = random.Random(1)
         self.log: list[tuple[float, Command]] = []
         self.r95_history: list[tuple[float, float]] = []
@@ -149,7 +149,7 @@ class ScriptedFlight:
         self.give(LandedStateChanged(self.now_s, landed))
 
     def locate(self, origin: LocalOrigin = ORIGIN) -> None:
-        """Tell origin and home."""
+        """Report origin and home."""
         self.give(OriginSet(self.now_s, origin))
         self.give(HomeSet(self.now_s, (0.0, 0.0, 0.0)))
 
@@ -167,7 +167,7 @@ class ScriptedFlight:
                 self.r95_history.append((self.now_s, self.session.estimate.r95_m))
 
     def skip(self, ticks: int) -> None:
-        """Let ticks pass that nobody gives the session."""
+        """Let ticks pass without giving them to the session."""
         self._ticks += ticks
 
     def move(self, measured_at_s: float) -> None:
@@ -208,7 +208,7 @@ class ScriptedFlight:
         return [c for at_s, c in self.log if at_s > since_s and isinstance(c, kind)]
 
     def records(self, kind: str) -> list[Mapping[str, object]]:
-        """What the event log got of a kind."""
+        """Return the records of a kind in the event log."""
         return [c.fields for c in self.sent(Record) if c.kind == kind]
 
     @property
@@ -220,7 +220,7 @@ class ScriptedFlight:
         return self.session.phase
 
     def is_in(self, *phases: Phase) -> bool:
-        """Whether the session is in one of some phases."""
+        """Return True if the session is in one of these phases."""
         return self.phase in phases
 
     @property
@@ -232,7 +232,7 @@ class ScriptedFlight:
 
     @property
     def guided_name(self) -> str:
-        """What the operator calls the mode that obeys setpoints."""
+        """Name for the operator of the mode that obeys setpoints."""
         return self.session.vehicle.guided_name
 
     @property
@@ -246,7 +246,7 @@ class ScriptedFlight:
     # Ways to a situation
 
     def ready(self) -> ScriptedFlight:
-        """In the air in hold, with everything known."""
+        """Bring the flight into the air in hold, with all inputs known, and return it."""
         self.is_armed = True
         self.heartbeat()
         if self.session.vehicle.landed is LandedState.UNKNOWN and self.reports_landed:

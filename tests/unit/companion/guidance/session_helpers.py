@@ -1,4 +1,4 @@
-"""What the tests of the session share."""
+"""Helpers of the session's tests."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ FOREIGN_MODES = [mode for mode in FlightMode if mode is not FlightMode.OFFBOARD]
 
 
 def silent_since(flight: ScriptedFlight, since_s: float) -> bool:
-    """Whether nothing that moves the vehicle was sent or asked for."""
+    """Return True if nothing that moves the vehicle was sent or requested."""
     kinds = (SendSetpoint, SetMode, Arm, TakeOff)
     return not any(flight.sent(kind, since_s) for kind in kinds)

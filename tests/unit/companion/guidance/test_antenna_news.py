@@ -1,4 +1,4 @@
-"""What the operator is told of an antenna."""
+"""Texts to the operator about an antenna."""
 
 from __future__ import annotations
 

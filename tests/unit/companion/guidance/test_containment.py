@@ -18,7 +18,7 @@ PARTS = ["tracker", "planner"]
 
 
 def break_part(flight: ScriptedFlight, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on a part fails whenever it is used."""
+    """Make a part fail whenever it is used from now on."""
 
     def fail(*_: Any, **__: Any) -> NoReturn:
         raise ZeroDivisionError("of the test")

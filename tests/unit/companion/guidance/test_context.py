@@ -1,4 +1,4 @@
-"""Who may write what the parts of a session share."""
+"""Modules that may write the context that the parts of a session share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAMES = ("context", "_context")
 
 
 def is_context(node: ast.expr) -> bool:
-    """Whether an expression is a session's context, by the name that all modules use."""
+    """Return True if an expression is a session's context, by the name that all modules use."""
     return (isinstance(node, ast.Name) and node.id in NAMES) or (
         isinstance(node, ast.Attribute) and node.attr in NAMES
     )

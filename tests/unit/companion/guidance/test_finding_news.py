@@ -13,43 +13,47 @@ NO_LINK = Finding(Verdict.HOLD, Reason.NO_LINK, "")
 AGES = Finding(Verdict.SLOW, Reason.RANGING_AGES, "")
 
 
-def told(
+def announced(
     news: FindingMessages, findings: Sequence[Finding | None], since_s: float = 0.0
 ) -> list[int]:
-    """Which of some findings, one a tick, are told."""
+    """Return the indices of the findings, one a tick, that are announced."""
     return [i for i, each in enumerate(findings) if news.take(each, since_s + i * TICK_S)]
 
 
 def test_a_reason_is_told_at_once_and_once() -> None:
-    assert told(FindingMessages(), [STALE] * 100) == [0]
+    assert announced(FindingMessages(), [STALE] * 100) == [0]
 
 
 def test_that_nothing_is_wrong_is_no_news_at_first_and_news_after_something_was() -> None:
-    assert told(FindingMessages(), [None] * 30) == []
-    assert told(FindingMessages(), [STALE] * 30 + [None] * 30) == [0, 30]
+    assert announced(FindingMessages(), [None] * 30) == []
+    assert announced(FindingMessages(), [STALE] * 30 + [None] * 30) == [0, 30]
 
 
 def test_two_reasons_that_take_turns_are_told_once_each() -> None:
     ticks = round(0.9 * REANNOUNCE_S / TICK_S)
-    assert told(FindingMessages(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
+    assert announced(FindingMessages(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
 
 
 def test_what_lasts_is_told_a_moment_after_it_began() -> None:
     flicker: list[Finding | None] = [STALE, NO_LINK] * 10
     moment = round(CLEARED_AFTER_S / TICK_S)
-    assert told(FindingMessages(), flicker + [STALE] * 100) == [0, 1, len(flicker) - 1 + moment]
+    assert announced(FindingMessages(), flicker + [STALE] * 100) == [
+        0,
+        1,
+        len(flicker) - 1 + moment,
+    ]
 
 
 def test_what_is_worse_does_not_wait() -> None:
     news = FindingMessages()
-    assert told(news, [STALE] * 20 + [AGES] * 40) == [0, 20]
-    assert told(news, [STALE, AGES] * 20, 3.0) == [0]
+    assert announced(news, [STALE] * 20 + [AGES] * 40) == [0, 20]
+    assert announced(news, [STALE, AGES] * 20, 3.0) == [0]
 
 
 def test_a_lost_link_never_waits() -> None:
     news = FindingMessages()
     outage = [STALE] * 10 + [NO_LINK] * 20 + [None] * 20
-    assert told(news, [*outage, *outage]) == [0, 10, 30, 50, 60, 99]
+    assert announced(news, [*outage, *outage]) == [0, 10, 30, 50, 60, 99]
 
 
 def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:

@@ -67,8 +67,8 @@ def test_a_charged_battery_flies_and_says_nothing() -> None:
 def test_an_unknown_battery_goes_no_farther_from_home_and_the_operator_is_told() -> None:
     flight = _engaged(None)
     assert _farthest_m(flight) < 0.1
-    told = [text for text in flight.texts if text.startswith("guard:")]
-    assert told == ["guard: battery charge is unknown: no farther from home"]
+    texts = [text for text in flight.texts if text.startswith("guard:")]
+    assert texts == ["guard: battery charge is unknown: no farther from home"]
     records = [c.fields["reasons"] for c in flight.sent(Record) if c.kind == "guard"]
     assert records == [["battery_unknown"]]
 

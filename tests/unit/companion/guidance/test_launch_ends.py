@@ -1,4 +1,4 @@
-"""What ends a launch, and that nothing is asked for, sent or taken after it."""
+"""Events that end a launch, after which nothing is requested, sent or taken."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]
 
 
 def assert_left_alone(flight: ScriptedFlight, duration_s: float = 10.0) -> None:
-    """The launch ended; the vehicle flies on to its altitude, and is nobody's of ours."""
+    """Assert that the launch ended, and the vehicle flies on to its altitude without us."""
     assert flight.is_in(Phase.YIELD)
     ended_s = flight.now_s
     flight.position_enu_m = (0.0, 0.0, 20.0)
@@ -202,7 +202,7 @@ def well(flight: ScriptedFlight) -> None:
 
 
 def fly_with(flight: ScriptedFlight, trouble: Trouble, duration_s: float) -> None:
-    """It is told of five times a second."""
+    """Fly with a trouble that is reported five times a second."""
     for _ in range(round(duration_s / 0.2)):
         trouble(flight)
         flight.fly(0.2)

@@ -14,7 +14,7 @@ AUTOPILOTS = [Autopilot.PX4, Autopilot.ARDUPILOT]
 
 
 def asked(flight: ScriptedFlight) -> bool:
-    """Whether anything was asked that takes the vehicle."""
+    """Return True if anything that takes the vehicle was requested."""
     return bool(flight.sent(Arm) or flight.sent(TakeOff) or flight.sent(SetMode))
 
 
@@ -78,8 +78,8 @@ def test_an_autopilot_that_does_not_tell_where_it_is_is_waited_for_and_said() ->
     flight.locate()
     flight.fly(12.0)
     assert not asked(flight)
-    told = [text for text in flight.texts if "reports no landed state" in text]
-    assert len(told) == 1
+    texts = [text for text in flight.texts if "reports no landed state" in text]
+    assert len(texts) == 1
     flight.report_landed(LandedState.ON_GROUND)
     flight.fly(0.5)
     assert flight.is_in(Phase.LAUNCHING)

@@ -15,21 +15,21 @@ from companion.guidance.messages import SILENT
 GUIDANCE = Path(companion.__file__).parent / "guidance"
 DOCS = Path(__file__).parents[4] / "docs"
 SPEAKERS = {"announce", "warn", "Announce", "Finding", "_finding"}
-"""What is called with a text for the operator."""
+"""Functions that are called with a text for the operator."""
 BEYOND = ("link", "diagnostics.py", "persistence.py", "run.py")
-"""Where texts are said outside of the session: by `SPEAKERS` and by these, or put on a list."""
+"""Modules with texts outside of the session: by `SPEAKERS` and by these, or put on a list."""
 SPEAKERS_BEYOND = SPEAKERS | {"text", "_announce", "ProcessMessage"}
 LISTS = {"texts", "news"}
 FAILURES = {"failure", "refusal", "note"}
 """Attributes whose text becomes part of one."""
 UNWORDED = (Reason.NO_LINK, Reason.MODE_UNKNOWN, Reason.POSITION_STALE, Reason.NO_HOME)
-"""Told by their names."""
+"""Recognised by their names."""
 BLANK = "…"
-"""What a text fills in."""
+"""Pattern of a value that a text fills in."""
 
 
 def texts_of(expression: ast.expr, function: ast.AST) -> Iterator[str]:
-    """All that an expression may say, with blanks for what is filled in."""
+    """Yield all texts of an expression, with blanks for what is filled in."""
     match expression:
         case ast.Constant(value=str(text)):
             yield text

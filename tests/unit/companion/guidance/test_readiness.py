@@ -108,8 +108,8 @@ def test_one_that_is_taken_before_ready_is_waited_for_by_its_name(
     flight.fly(patience_s(text) - 0.5)
     assert any(part.startswith(text) for part in missing(flight))
     flight.fly(MISSING_PATIENCE_S + 0.5)
-    told = [said for said in flight.texts if said.startswith(("waiting for", "not ready"))]
-    assert told  # "not ready" where it was ready within the patience
+    texts = [said for said in flight.texts if said.startswith(("waiting for", "not ready"))]
+    assert texts  # "not ready" where it was ready within the patience
     flight.mode = FlightMode.OFFBOARD
     flight.fly(2.0)
     assert flight.phase not in IN_CONTROL

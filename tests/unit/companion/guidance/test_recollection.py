@@ -24,7 +24,7 @@ AUTO = SessionParams(engage="auto")
 
 
 def memory_of_a_flight(duration_s: float = 6.0) -> SessionMemory:
-    """In control, with an estimate."""
+    """Return the memory of a flight in control, with an estimate."""
     flight = ScriptedFlight().in_control()
     flight.follows = True
     flight.fly(duration_s)
@@ -196,7 +196,7 @@ def test_an_impossible_belief_is_refused_in_words() -> None:
 
 
 def fly_until_localised(flight: ScriptedFlight) -> float:
-    """In control from now on; when the target was localised."""
+    """Fly in control from now on; return the time at which the target is localised."""
     flight.ready().fly(2.0)
     flight.in_control()
     flight.follows = True

@@ -1,4 +1,4 @@
-"""What the event log says of an estimate: enough to draw and to check it afterwards."""
+"""Records of an estimate in the event log: enough to draw and to check it afterwards."""
 
 from dataclasses import replace
 
@@ -42,19 +42,19 @@ CITY = PositionAccuracy(6.0, 9.0, is_reported=True)
 
 
 def test_both_radii_are_told_and_what_is_between_them() -> None:
-    told = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
-    fields = estimate_record(FusionReport(None), told).fields
+    estimate = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
+    fields = estimate_record(FusionReport(None), estimate).fields
     assert (fields["r95_m"], fields["absolute_r95_m"]) == (5.0, 16.0)
     assert (fields["own_sigma_m"], fields["own_sigma_told"]) == (6.0, True)
 
 
 def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
-    told = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
-    _, text = result_of(told, LocalOrigin(47.4, 8.54, 488.0), 0.0)
+    estimate = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
+    _, text = result_of(estimate, LocalOrigin(47.4, 8.54, 488.0), 0.0)
     assert text.startswith("LOCALISED 47.4000")
     assert text.endswith(" R95 16.0 m")
-    assert result_of(told, None, 0.0)[1] == "LOCALISED R95 16.0 m"
-    assert radius_texts(told) == ["R95 16.0 m absolute, 5.0 m relative"]
+    assert result_of(estimate, None, 0.0)[1] == "LOCALISED R95 16.0 m"
+    assert radius_texts(estimate) == ["R95 16.0 m absolute, 5.0 m relative"]
 
 
 @pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])

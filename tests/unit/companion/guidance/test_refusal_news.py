@@ -5,7 +5,7 @@ from companion.guidance.commands import Announce, Record
 from companion.guidance.messages import MANY, TEXT_PERIOD_S, RejectMessages
 
 
-def told(reason: RejectReason, times_s: list[float]) -> tuple[list[Record], list[Announce]]:
+def announced(reason: RejectReason, times_s: list[float]) -> tuple[list[Record], list[Announce]]:
     news = RejectMessages()
     commands = [command for time_s in times_s for command in news.messages_for(reason, time_s)]
     records = [command for command in commands if isinstance(command, Record)]
@@ -13,7 +13,7 @@ def told(reason: RejectReason, times_s: list[float]) -> tuple[list[Record], list
 
 
 def test_the_first_refusal_is_logged_at_once_and_the_rest_by_the_second() -> None:
-    records, _ = told(RejectReason.STALE, [0.05 * step for step in range(101)])
+    records, _ = announced(RejectReason.STALE, [0.05 * step for step in range(101)])
     assert [record.fields["count"] for record in records] == [1, 20, 20, 20, 20, 20]
     assert {record.fields["reason"] for record in records} == {"stale"}
 
@@ -26,11 +26,11 @@ def test_each_reason_has_a_rhythm_of_its_own() -> None:
 
 
 def test_many_are_told_to_people_once_a_minute() -> None:
-    _, texts = told(RejectReason.NOT_FINITE, [0.1 * step for step in range(1000)])
+    _, texts = announced(RejectReason.NOT_FINITE, [0.1 * step for step in range(1000)])
     assert len(texts) == 1 + int((99.9 - 0.1 * MANY) // TEXT_PERIOD_S)
     assert texts[0].text == "measurements rejected: not finite; check the radio"
 
 
 def test_a_few_are_not_nor_what_says_nothing_against_the_radio() -> None:
-    assert told(RejectReason.NOT_FINITE, [float(step) for step in range(200)])[1] == []
-    assert told(RejectReason.DUPLICATE, [0.1 * step for step in range(500)])[1] == []
+    assert announced(RejectReason.NOT_FINITE, [float(step) for step in range(200)])[1] == []
+    assert announced(RejectReason.DUPLICATE, [0.1 * step for step in range(500)])[1] == []

@@ -1,4 +1,4 @@
-"""How the session ends: the report, the mode that follows, and a stop."""
+"""The end of a session: the report, the mode that follows, and a stop."""
 
 from __future__ import annotations
 

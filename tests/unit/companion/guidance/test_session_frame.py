@@ -77,9 +77,9 @@ def test_an_origin_that_creeps_takes_the_estimate_with_it_after_a_metre() -> Non
 
 
 @pytest.mark.parametrize("up_m", [0.0, 6.0])
-@pytest.mark.parametrize("is_told_first", [True, False])
+@pytest.mark.parametrize("is_reported_first", [True, False])
 def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
-    is_told_first: bool, up_m: float
+    is_reported_first: bool, up_m: float
 ) -> None:
     """Positions of the new frame may overtake the origin, which must not move all once more."""
     flight = ScriptedFlight().in_control()
@@ -88,11 +88,11 @@ def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
     moved = LocalOrigin(*ORIGIN.geodetic_from_enu((3.0, 8.0, up_m)))
     flight.has_ranging = False
     position = (at_m[0] - 3.0, at_m[1] - 8.0, at_m[2] - up_m)
-    if is_told_first:
+    if is_reported_first:
         flight.give(OriginSet(flight.now_s, moved))
     flight.position_enu_m = position
     flight.fly(0.2)
-    if not is_told_first:
+    if not is_reported_first:
         flight.give(OriginSet(flight.now_s, moved))
     flight.fly(0.5)
     after = flight.session.estimate
@@ -108,7 +108,7 @@ def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
 
 
 def test_an_origin_that_is_told_alone_moves_nothing_in_the_end() -> None:
-    """The autopilot told another origin, but its local positions go on as before."""
+    """The autopilot reported another origin, but its local positions go on as before."""
     flight = ScriptedFlight().in_control()
     before = flight.session.estimate
     assert before is not None

@@ -17,7 +17,7 @@ def estimate(state: EstimateState, now_s: float = 0.0) -> TargetEstimate:
 
 
 def announced(news: StateMessages, states: Sequence[EstimateState]) -> list[tuple[int, str]]:
-    """Which of the states of one measurement after the other are announced, and as what."""
+    """Return the states that are announced, by index, and their texts; one per measurement."""
     lines = []
     for number, state in enumerate(states):
         now_s = PERIOD_S * number

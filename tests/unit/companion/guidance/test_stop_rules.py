@@ -1,4 +1,4 @@
-"""When a search ends where the radius to stop at is out of reach."""
+"""The end of a search where the radius to stop at is out of reach."""
 
 from __future__ import annotations
 

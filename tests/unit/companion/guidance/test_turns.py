@@ -54,7 +54,7 @@ def nearest_first() -> ScriptedFlight:
 
 @cache
 def after_the_first() -> SessionMemory:
-    """What is remembered once the nearer one is reported."""
+    """Return the memory once the nearer emitter is reported."""
     flight = flight_of(QueueParams(order="nearest")).in_control()
     fly_until_reported(flight, 1)
     flight.fly(1.0)

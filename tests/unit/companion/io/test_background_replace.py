@@ -1,4 +1,4 @@
-"""Whole files replaced from a thread: newest wins, nobody waits."""
+"""Whole files replaced from a thread: the newest wins, no caller waits."""
 
 from __future__ import annotations
 

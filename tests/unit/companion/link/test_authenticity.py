@@ -1,4 +1,4 @@
-"""The endpoint with a key: who moves its state, what it sends, what it tells."""
+"""The endpoint with a key: messages that change its state, its output and its texts."""
 
 from __future__ import annotations
 

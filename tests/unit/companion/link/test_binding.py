@@ -1,4 +1,4 @@
-"""Which autopilot is bound: candidates, listening, addresses."""
+"""Binding to an autopilot: candidates, listening, addresses."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def ranging(range_m: float = 60.0, stamp_us: int = 1_000_000) -> Message:
 
 
 def fly(wire: Wire, duration_s: float) -> None:
-    """The autopilot keeps telling where it is and that it is in offboard."""
+    """Let time pass in which the autopilot reports its position and offboard mode."""
     for tick in range(round(duration_s / 0.05)):
         wire.wait(0.05)
         wire.say(wire.position())

@@ -23,7 +23,7 @@ def value(name: str, number: float, kind: int = REAL32) -> Message:
     return MavCodec(9, 9).decode(MavCodec(1, 1).encode(message))[0]
 
 
-def told(parameters: dict[str, float]) -> FenceLimits:
+def limits_of(parameters: dict[str, float]) -> FenceLimits:
     reader = FenceParameters()
     for name, number in parameters.items():
         reader.receive(value(name, number), Autopilot.ARDUPILOT)
@@ -44,7 +44,7 @@ def told(parameters: dict[str, float]) -> FenceLimits:
 def test_ardupilots_parts_hold_where_type_and_enable_say_so(
     changes: dict[str, float], limits: FenceLimits
 ) -> None:
-    assert told(ARDUPILOT | changes) == limits
+    assert limits_of(ARDUPILOT | changes) == limits
 
 
 @pytest.mark.parametrize(("action", "limits"), [(2, FenceLimits(60.0, 30.0)), (0, FenceLimits())])

@@ -75,11 +75,11 @@ class Autopilot:
     def run(
         self, duration_s: float, *, is_wanted: bool = True, is_followed: bool = False
     ) -> list[AutopilotFenceRead]:
-        told = []
+        result = []
         for _ in range(round(duration_s / 0.05)):
             self.now_s = round(self.now_s + 0.05, 6)
             given_up = self.fetch.check_silence(self.now_s)
-            told += [] if given_up is None else [given_up]
+            result += [] if given_up is None else [given_up]
             question = self.fetch.due(
                 self.now_s, AUTOPILOT, is_wanted=is_wanted, is_followed=is_followed
             )
@@ -91,8 +91,8 @@ class Autopilot:
                 continue
             answer = self._answer(question)
             heard = None if answer is None else self.fetch.receive(answer, self.now_s, OWN)
-            told += [] if heard is None else [heard]
-        return told
+            result += [] if heard is None else [heard]
+        return result
 
     def _answer(self, question: Message) -> Message | None:
         if isinstance(question, List):
@@ -105,9 +105,9 @@ class TestTheTransfer:
         autopilot = Autopilot(TRIANGLE)
         assert autopilot.run(1.0, is_wanted=False) == []
         assert autopilot.asked == []
-        (told,) = autopilot.run(1.0)
-        assert told.fence == GEO
-        assert told.problem is None
+        (result,) = autopilot.run(1.0)
+        assert result.fence == GEO
+        assert result.problem is None
         kinds = [type(question) for question in autopilot.asked]
         assert kinds == [List, Request, Request, Request, Ack]
         assert [q.seq for q in autopilot.asked if isinstance(q, Request)] == [0, 1, 2]
@@ -127,21 +127,21 @@ class TestTheTransfer:
     def test_what_is_lost_is_asked_for_again(self) -> None:
         autopilot = Autopilot(TRIANGLE)
         autopilot.deaf = TRIES - 1
-        (told,) = autopilot.run(RESEND_S * TRIES + 1.0)
-        assert told.fence == GEO
+        (result,) = autopilot.run(RESEND_S * TRIES + 1.0)
+        assert result.fence == GEO
         autopilot = Autopilot(TRIANGLE)
         autopilot.run(0.1)
         autopilot.deaf = TRIES - 1
-        (told,) = autopilot.run(RESEND_S * TRIES + 1.0)
-        assert told.fence == GEO
+        (result,) = autopilot.run(RESEND_S * TRIES + 1.0)
+        assert result.fence == GEO
 
     def test_silence_ends_and_is_tried_again_ever_more_rarely(self) -> None:
         autopilot = Autopilot(TRIANGLE)
         autopilot.deaf = 10_000
-        told = autopilot.run(300.0)
-        assert {event.problem for event in told} == {"no answer"}
-        assert not told[0].is_unusable
-        times_s = [event.time_s for event in told]
+        result = autopilot.run(300.0)
+        assert {event.problem for event in result} == {"no answer"}
+        assert not result[0].is_unusable
+        times_s = [event.time_s for event in result]
         assert times_s[0] == pytest.approx(TRIES * RESEND_S, abs=0.2)
         gaps_s = [b - a for a, b in pairwise(times_s)]
         assert gaps_s[0] == pytest.approx(REST_S + TRIES * RESEND_S, abs=0.2)
@@ -157,26 +157,26 @@ class TestTheTransfer:
         assert len(autopilot.run(REST_S)) == 1
 
     def test_a_refusal_is_tried_again_and_then_told(self) -> None:
-        fetch, told, now_s = FenceDownload(), None, 0.0
-        while told is None and now_s < 10.0:
+        fetch, result, now_s = FenceDownload(), None, 0.0
+        while result is None and now_s < 10.0:
             now_s += 0.05
-            told = fetch.check_silence(now_s)
+            result = fetch.check_silence(now_s)
             if fetch.due(now_s, AUTOPILOT, is_wanted=True) is not None:
                 assert fetch.receive(ack(mavlink.MAV_MISSION_UNSUPPORTED), now_s, OWN) is None
-        assert told is not None
-        assert told.problem == "refused (unsupported)"
-        assert not told.is_unusable
+        assert result is not None
+        assert result.problem == "refused (unsupported)"
+        assert not result.is_unusable
 
     def test_an_unknown_refusal_is_told_by_its_number(self) -> None:
         fetch = FenceDownload()
         for step in range(200):
             fetch.due(0.05 * step, AUTOPILOT, is_wanted=True)
             fetch.receive(ack(99), 0.05 * step, OWN)
-            told = fetch.check_silence(0.05 * step)
-            if told is not None:
+            result = fetch.check_silence(0.05 * step)
+            if result is not None:
                 break
-        assert told is not None
-        assert told.problem == "refused (result 99)"
+        assert result is not None
+        assert result.problem == "refused (result 99)"
 
     @pytest.mark.parametrize(
         "stray",
@@ -193,8 +193,8 @@ class TestTheTransfer:
         autopilot.deaf = 1
         autopilot.run(0.1)
         assert autopilot.fetch.receive(stray, autopilot.now_s, OWN) is None
-        (told,) = autopilot.run(2.0)
-        assert told.fence == GEO
+        (result,) = autopilot.run(2.0)
+        assert result.fence == GEO
 
     def test_a_broadcast_answer_is(self) -> None:
         fetch = FenceDownload()
@@ -208,9 +208,9 @@ class TestTheTransfer:
         for message in (count(3), count(1), TRIANGLE[1], TRIANGLE[0], TRIANGLE[0], TRIANGLE[2]):
             assert fetch.receive(message, 0.1, OWN) is None
         assert fetch.receive(TRIANGLE[1], 0.1, OWN) is None
-        told = fetch.receive(TRIANGLE[2], 0.2, OWN)
-        assert told is not None
-        assert told.fence == GEO
+        result = fetch.receive(TRIANGLE[2], 0.2, OWN)
+        assert result is not None
+        assert result.fence == GEO
 
     def test_nothing_is_heard_that_was_not_asked_for(self) -> None:
         assert FenceDownload().receive(count(0), 0.0, OWN) is None
@@ -218,10 +218,10 @@ class TestTheTransfer:
     def test_too_many_items_are_not_even_read(self) -> None:
         fetch = FenceDownload()
         fetch.due(0.0, AUTOPILOT, is_wanted=True)
-        told = fetch.receive(count(MAX_ITEMS + 1), 0.1, OWN)
-        assert told is not None
-        assert told.problem == f"it has {MAX_ITEMS + 1} items, more than {MAX_ITEMS}"
-        assert told.is_unusable
+        result = fetch.receive(count(MAX_ITEMS + 1), 0.1, OWN)
+        assert result is not None
+        assert result.problem == f"it has {MAX_ITEMS + 1} items, more than {MAX_ITEMS}"
+        assert result.is_unusable
         assert isinstance(fetch.due(0.2, AUTOPILOT, is_wanted=False), Ack)
 
     def test_a_restart_begins_anew(self) -> None:
@@ -230,15 +230,15 @@ class TestTheTransfer:
         autopilot.fetch.restart()
         assert autopilot.fetch.check_silence(1e9) is None
         autopilot.asked.clear()
-        (told,) = autopilot.run(1.0)
+        (result,) = autopilot.run(1.0)
         assert isinstance(autopilot.asked[0], List)
-        assert told.fence == GEO
+        assert result.fence == GEO
 
     def test_a_fence_that_makes_none_is_told_as_unusable(self) -> None:
         autopilot = Autopilot([item(0, command=16)])
-        (told,) = autopilot.run(1.0)
-        assert told.problem == "item 1: command 16 is no part of a fence"
-        assert told.is_unusable
+        (result,) = autopilot.run(1.0)
+        assert result.problem == "item 1: command 16 is no part of a fence"
+        assert result.is_unusable
 
 
 class TestItems:
@@ -343,7 +343,7 @@ class TestChanges:
         autopilot = Autopilot(TRIANGLE)
         assert len(autopilot.run(1.0)) == 1
         again = autopilot.run(3.0 * READ_AGAIN_S, is_wanted=False, is_followed=True)
-        assert [told.fence for told in again] == [GEO] * 3
+        assert [result.fence for result in again] == [GEO] * 3
 
     def test_where_there_are_ids_it_is_not(self) -> None:
         autopilot = Autopilot(TRIANGLE)
@@ -364,5 +364,5 @@ class TestChanges:
         autopilot.run(1.0)
         autopilot.fetch.notice(current(7), OWN)
         assert autopilot.fetch.notice(current(8), OWN)
-        (told,) = autopilot.run(1.0)
-        assert told.fence == GEO
+        (result,) = autopilot.run(1.0)
+        assert result.fence == GEO

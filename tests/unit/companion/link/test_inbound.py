@@ -168,7 +168,7 @@ def test_unknown_landed_states_are_unknown() -> None:
 
 
 def restart(inbound: VehicleInbound, boot_ms: int, now_s: float) -> list[Event]:
-    """Positions of an autopilot that started anew, until that is noticed."""
+    """Give positions of an autopilot that rebooted, until that is detected."""
     for step in range(20):
         events = inbound.events(local_position(boot_ms + 50 * step), now_s + 0.05 * step)
         if len(events) > 1:
@@ -225,7 +225,7 @@ def synchronised(up_s: float, down_s: float, offset_s: float = 100.0) -> ClockSy
 
 
 def age_at_arrival(inbound: VehicleInbound, down_s: float, offset_s: float = 100.0) -> float:
-    """How old a position is read to be that took this long."""
+    """Return the age at arrival of a position that was under way for this time."""
     (moved,) = inbound.events(local_position(round(1e3 * (60.0 + offset_s))), 60.0 + down_s)
     assert isinstance(moved, VehicleMoved)
     return 60.0 + down_s - moved.state.time_s
@@ -328,12 +328,12 @@ def test_after_a_restart_the_order_begins_anew() -> None:
 
 @pytest.mark.parametrize("make", [local_position, attitude])
 def test_a_clock_that_runs_wild_tells_nothing(make: Callable[[int], Message]) -> None:
-    inbound, told = VehicleInbound(), []
+    inbound, reported_s = VehicleInbound(), []
     for step in range(100):
         now_s = 0.05 * step
         if inbound.events(make(round(2000.0 * now_s)), now_s):
-            told.append(now_s)
-    assert told[-1] == pytest.approx(1.0, abs=0.11)
+            reported_s.append(now_s)
+    assert reported_s[-1] == pytest.approx(1.0, abs=0.11)
 
 
 @pytest.mark.parametrize("is_mavlink1", [False, True])

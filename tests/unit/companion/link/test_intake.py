@@ -1,4 +1,4 @@
-"""What a link takes in between two control ticks."""
+"""Intake of a link between two control ticks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Link:
     def sent(
         self, message: Message, peer: Address = VEHICLE, *, is_datagram: bool = True
     ) -> list[Message]:
-        """What is taken in of one more message."""
+        """Return what is taken in of one more message."""
         chunk = Chunk(0, self._sender.encode(message), peer, is_datagram=is_datagram)
         return [message for data in self.intake.take(chunk) for message in self.codec.decode(data)]
 

@@ -71,7 +71,7 @@ def test_a_second_companion_on_the_vehicle_is_told_once() -> None:
 
 
 def mark() -> Message:
-    """What a companion sends that hears another one."""
+    """Return the message by which a companion recognises another one."""
     return mavlink.MAVLink_named_value_float_message(0, outbound.MARK, 191.0)
 
 

@@ -60,9 +60,9 @@ def test_a_list_tells_every_parameter_once_a_few_per_tick(component: int) -> Non
     ask(wire, request_list(component))
     listed: list[Value] = []
     for _ in range(50):  # steps shorter than a tick
-        told = [m for m in wire.wait(0.02) if isinstance(m, Value)]
-        assert len(told) <= 2
-        listed += told
+        answers = [m for m in wire.wait(0.02) if isinstance(m, Value)]
+        assert len(answers) <= 2
+        listed += answers
     assert [m.param_id for m in listed] == NAMES
     assert [m.param_index for m in listed] == list(range(len(NAMES)))
     assert {m.param_count for m in listed} == {len(NAMES)}
@@ -261,19 +261,19 @@ def test_integers_go_as_autopilot_version_says(autopilot: int) -> None:
         if autopilot == ARDUPILOT
         else set_integer("CMP_ON_FOUND", 2),
     )
-    told = [m for m in ask(wire, request_read("CMP_ON_FOUND")) if isinstance(m, Value)]
+    answers = [m for m in ask(wire, request_read("CMP_ON_FOUND")) if isinstance(m, Value)]
     encoding = ParamEncoding.C_CAST if autopilot == ARDUPILOT else ParamEncoding.BYTEWISE
     flag = 131072 if autopilot == ARDUPILOT else 16
     assert version[0].capabilities & (131072 | 16) == flag
-    assert value_from_raw(raw_of(told[0]), ParamType.INT32, encoding) == 2
+    assert value_from_raw(raw_of(answers[0]), ParamType.INT32, encoding) == 2
 
 
 def test_a_ground_station_on_its_own_link_is_served_there() -> None:
     wire = Wire(gcs_links=1).bound()
     wire.say(param_set("CMP_SPEED", 3.0), sender=STATION, peer=None, link=1)
     assert wire.endpoint.session.context.guard.limits.envelope.speed_mps == 3.0
-    told = [c for c in wire.raw if c.link == 1]
-    kinds = {m.get_type() for c in told for m in wire.reader.decode(c.data)}
+    answers = [c for c in wire.raw if c.link == 1]
+    kinds = {m.get_type() for c in answers for m in wire.reader.decode(c.data)}
     assert {"PARAM_VALUE", "STATUSTEXT"} <= kinds
     wire.wait(2.0)
     kinds = {m.get_type() for c in wire.raw if c.link == 1 for m in MavCodec(9, 9).decode(c.data)}

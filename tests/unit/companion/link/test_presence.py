@@ -1,4 +1,4 @@
-"""What ground stations are shown of the estimate, where, and that phases are told."""
+"""Messages to ground stations about the estimate and its links, and texts about phases."""
 
 from __future__ import annotations
 
@@ -59,34 +59,34 @@ def on_the_wire(message: Message) -> Any:
 
 
 def test_an_estimate_goes_north_and_east_clockwise_with_its_covariance() -> None:
-    told = on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0))
-    assert (told.north, told.east) == (-40.0, 30.0)
-    assert (told.var_north, told.cov_north_east, told.var_east) == (9.0, 0.5, 4.0)
-    assert (told.alt_north, told.alt_east) == (2.0, 1.0)
-    assert (told.height, told.height_std, told.range_offset) == (3.0, 1.5, 12.0)
-    assert told.bearing_offset == pytest.approx(-0.1)
-    assert told.r95 == pytest.approx(6.4)
-    assert (told.absolute_r95, told.own_std, told.own_height_std) == (7.5, 1.5, 2.5)
-    assert (told.time_boot_ms, told.emitter_id, told.measurements) == (10_000, 7, 55)
-    assert told.state == 2
-    position = ORIGIN.enu_from_geodetic(told.lat / 1e7, told.lon / 1e7, 491.0)
+    sent = on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0))
+    assert (sent.north, sent.east) == (-40.0, 30.0)
+    assert (sent.var_north, sent.cov_north_east, sent.var_east) == (9.0, 0.5, 4.0)
+    assert (sent.alt_north, sent.alt_east) == (2.0, 1.0)
+    assert (sent.height, sent.height_std, sent.range_offset) == (3.0, 1.5, 12.0)
+    assert sent.bearing_offset == pytest.approx(-0.1)
+    assert sent.r95 == pytest.approx(6.4)
+    assert (sent.absolute_r95, sent.own_std, sent.own_height_std) == (7.5, 1.5, 2.5)
+    assert (sent.time_boot_ms, sent.emitter_id, sent.measurements) == (10_000, 7, 55)
+    assert sent.state == 2
+    position = ORIGIN.enu_from_geodetic(sent.lat / 1e7, sent.lon / 1e7, 491.0)
     assert position == pytest.approx((30.0, -40.0, 3.0), abs=0.02)
 
 
 def test_what_is_not_known_is_said_so() -> None:
     vague = TargetEstimate(0.0, EstimateState.SEARCHING, (0.0, 0.0), ((1, 0), (0, 1)), 9, 0, 0, 1)
-    told = on_the_wire(estimate_message(7, vague, None, 0.0))
-    assert told.lat == told.lon == 2**31 - 1
-    assert math.isnan(told.alt_north)
-    assert math.isnan(told.alt_east)
-    assert math.isnan(told.height_std)
-    assert math.isnan(told.own_std)
-    assert told.absolute_r95 == pytest.approx(math.hypot(9.0, 3.0 * 2.4477), abs=1e-3)
+    sent = on_the_wire(estimate_message(7, vague, None, 0.0))
+    assert sent.lat == sent.lon == 2**31 - 1
+    assert math.isnan(sent.alt_north)
+    assert math.isnan(sent.alt_east)
+    assert math.isnan(sent.height_std)
+    assert math.isnan(sent.own_std)
+    assert sent.absolute_r95 == pytest.approx(math.hypot(9.0, 3.0 * 2.4477), abs=1e-3)
 
 
 def test_values_are_local_metres_with_names_that_fit() -> None:
-    told = [on_the_wire(message) for message in named_values(ESTIMATE, 10.0)]
-    values = {message.name: message.value for message in told}
+    sent = [on_the_wire(message) for message in named_values(ESTIMATE, 10.0)]
+    values = {message.name: message.value for message in sent}
     radii = {"TGT_R95": pytest.approx(6.4), "TGT_R95ABS": 7.5}
     (var_east, covariance), (_, var_north) = ESTIMATE.covariance_m2
     spread = {"TGT_VAR_E": var_east, "TGT_VAR_N": var_north, "TGT_COV_EN": covariance}
@@ -113,18 +113,18 @@ def test_what_is_beyond_a_float32_is_sent_as_the_largest_one() -> None:
 
 
 def test_an_icon_is_an_obstacle_with_a_name_that_fits() -> None:
-    told = on_the_wire(icon_message(1007, ESTIMATE, ORIGIN, 10.0))
-    assert told.callsign == "E7:8m"
-    assert told.emitter_type == mavlink.ADSB_EMITTER_TYPE_POINT_OBSTACLE
-    assert told.flags == 1 | 2 | 16
-    assert (told.tslc, told.altitude) == (2, pytest.approx(491_000, abs=20))
-    assert told.lat == on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0)).lat
+    sent = on_the_wire(icon_message(1007, ESTIMATE, ORIGIN, 10.0))
+    assert sent.callsign == "E7:8m"
+    assert sent.emitter_type == mavlink.ADSB_EMITTER_TYPE_POINT_OBSTACLE
+    assert sent.flags == 1 | 2 | 16
+    assert (sent.tslc, sent.altitude) == (2, pytest.approx(491_000, abs=20))
+    assert sent.lat == on_the_wire(estimate_message(7, ESTIMATE, ORIGIN, 10.0)).lat
 
 
 def heard(
     config: CompanionConfig, ticks: int = 200, autopilot: int = PX4, h_acc_mm: int | None = None
 ) -> Wire:
-    """In the air, around an emitter that answers truly, a tenth of a second for each tick."""
+    """Return the wire after ticks of 0.1 s in the air, about an emitter without errors."""
     wire = Wire(config, gcs_links=1).ready()
     wire.say(heartbeat(autopilot, is_armed=True, status=4))
     for tick in range(ticks):
@@ -146,7 +146,7 @@ def heard(
     return wire
 
 
-def told_on(wire: Wire, link: int) -> list[Message]:
+def sent_on(wire: Wire, link: int) -> list[Message]:
     reader = MavCodec(9, 9)
     return [m for c in wire.raw if c.link == link for m in reader.decode(c.data)]
 
@@ -155,12 +155,12 @@ def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> N
     wire = heard(CompanionConfig(link=LinkParams(gcs_icon=True)))
     assert wire.endpoint.session.estimate is not None
     for link in (0, 1):
-        told = told_on(wire, link)
-        estimates = [m for m in told if isinstance(m, Estimate)]
+        sent = sent_on(wire, link)
+        estimates = [m for m in sent if isinstance(m, Estimate)]
         assert 15 <= len(estimates) <= 21
         assert estimates[-1].north == pytest.approx(-40.0, abs=5.0)
         assert estimates[-1].east == pytest.approx(30.0, abs=5.0)
-        names = [m.name for m in told if isinstance(m, NamedValue)]
+        names = [m.name for m in sent if isinstance(m, NamedValue)]
         assert set(names) == {
             "TGT_EAST",
             "TGT_NORTH",
@@ -171,28 +171,28 @@ def test_once_a_second_on_all_links_and_an_icon_on_those_of_stations_only() -> N
             "TGT_COV_EN",
         }
         assert len(names) == 7 * len(estimates)
-    icons = [m for m in told_on(wire, 1) if isinstance(m, Icon)]
+    icons = [m for m in sent_on(wire, 1) if isinstance(m, Icon)]
     assert icons
-    assert not [m for m in told_on(wire, 0) if isinstance(m, Icon)]
+    assert not [m for m in sent_on(wire, 0) if isinstance(m, Icon)]
 
 
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
 def test_only_an_ardupilot_gets_estimates_in_tunnels_too(autopilot: int) -> None:
     wire = heard(CompanionConfig(), 60, autopilot)
-    tunnels = [m for m in told_on(wire, 0) if isinstance(m, mavlink.MAVLink_tunnel_message)]
-    estimates = [m for m in told_on(wire, 0) if isinstance(m, Estimate)]
+    tunnels = [m for m in sent_on(wire, 0) if isinstance(m, mavlink.MAVLink_tunnel_message)]
+    estimates = [m for m in sent_on(wire, 0) if isinstance(m, Estimate)]
     assert len(tunnels) == (len(estimates) if autopilot == ARDUPILOT else 0)
-    assert not [m for m in told_on(wire, 1) if isinstance(m, mavlink.MAVLink_tunnel_message)]
+    assert not [m for m in sent_on(wire, 1) if isinstance(m, mavlink.MAVLink_tunnel_message)]
 
 
 @pytest.mark.parametrize(("h_acc_mm", "sigma_m"), [(20, 0.02), (5000, 5.0), (0, 3.0), (None, 3.0)])
 def test_the_absolute_radius_follows_the_receiver(h_acc_mm: int | None, sigma_m: float) -> None:
-    told = heard(CompanionConfig(), 100, h_acc_mm=h_acc_mm).of(Estimate)[-1]
-    assert told.own_std == pytest.approx(sigma_m) or not h_acc_mm
-    assert math.isnan(told.own_std) == (not h_acc_mm)
+    sent = heard(CompanionConfig(), 100, h_acc_mm=h_acc_mm).of(Estimate)[-1]
+    assert sent.own_std == pytest.approx(sigma_m) or not h_acc_mm
+    assert math.isnan(sent.own_std) == (not h_acc_mm)
     effective_m = 1.5 * sigma_m if sigma_m == 5.0 else sigma_m  # without corrections
-    round_m = math.hypot(told.r95, 2.4477 * effective_m)
-    assert told.r95 < told.absolute_r95 < 1.01 * round_m
+    round_m = math.hypot(sent.r95, 2.4477 * effective_m)
+    assert sent.r95 < sent.absolute_r95 < 1.01 * round_m
 
 
 def test_nobody_gets_an_icon_unasked() -> None:

@@ -18,7 +18,7 @@ READING = RadioReading(emitter=7, range_m=42.0)
 
 
 class Said(RadioDecoder):
-    """Says what it was told to, whatever the bytes."""
+    """Decoder that returns configured readings for any bytes."""
 
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)

@@ -1,4 +1,4 @@
-"""What is told and kept of radios: silence once, refusals rarely, and never more than a budget."""
+"""Texts and records of radios: silence once, refusals rarely, and never beyond a budget."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ def watch_of(settings: RadioSettings = SETTINGS) -> RadioWatch:
     return RadioWatch(RadioStage(RadioSetup(KIND, settings)))
 
 
-def told(watch: RadioWatch, from_s: float, to_s: float) -> list[str]:
-    """What is told between two times, at twenty ticks a second."""
+def announced(watch: RadioWatch, from_s: float, to_s: float) -> list[str]:
+    """Return the texts announced between two times, at twenty ticks a second."""
     ticks = range(round(20 * from_s), round(20 * to_s))
     return [news.text for tick in ticks for news in watch.tick(0.05 * tick)]
 
 
 def test_silence_is_told_once_and_its_end_once() -> None:
     watch = watch_of()
-    assert told(watch, 0.0, 60.0) == ["radio said: silent for 3 s"]
+    assert announced(watch, 0.0, 60.0) == ["radio said: silent for 3 s"]
     measured(watch.stage, READING, now_s=60.0)
-    assert told(watch, 60.0, 62.0) == ["radio said: heard again"]
-    assert told(watch, 62.0, 90.0) == ["radio said: silent for 3 s"]
+    assert announced(watch, 60.0, 62.0) == ["radio said: heard again"]
+    assert announced(watch, 62.0, 90.0) == ["radio said: silent for 3 s"]
 
 
 def test_the_last_text_says_if_a_radio_that_comes_and_goes_is_heard() -> None:
@@ -52,13 +52,13 @@ def test_the_last_text_says_if_a_radio_that_comes_and_goes_is_heard() -> None:
 
 
 def test_a_radio_that_may_be_silent_is_not_told_as_that() -> None:
-    assert told(watch_of(RadioSettings(timeout_s=0.0)), 0.0, 60.0) == []
+    assert announced(watch_of(RadioSettings(timeout_s=0.0)), 0.0, 60.0) == []
 
 
 def test_a_new_name_is_told() -> None:
     watch = watch_of()
     measured(watch.stage, replace(READING, emitter="tag"), now_s=0.0)
-    (text,) = told(watch, 0.0, 1.0)
+    (text,) = announced(watch, 0.0, 1.0)
     assert text.startswith("radio said: emitter `tag` has the id ")
 
 
@@ -68,7 +68,7 @@ def test_many_refusals_are_told_with_their_reasons_and_rarely() -> None:
     for second in range(40):
         for _ in range(10):
             measured(watch.stage, READING, now_s=float(second))
-        texts += told(watch, second, second + 1.0)
+        texts += announced(watch, second, second + 1.0)
     assert len(texts) == 2
     assert texts[0] == "radio said: 10 readings were refused: range above range_max_m (10)"
 
@@ -78,7 +78,7 @@ def test_few_refusals_are_not_told() -> None:
     for number in range(200):
         far = replace(READING, range_m=500.0 if number % 10 == 0 else 50.0)
         measured(watch.stage, far, now_s=0.01 * number)
-    assert told(watch, 2.0, 3.0) == []
+    assert announced(watch, 2.0, 3.0) == []
 
 
 def test_the_rate_is_that_of_the_last_seconds() -> None:

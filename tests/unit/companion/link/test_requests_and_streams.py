@@ -275,7 +275,7 @@ def test_who_does_not_know_the_question_is_asked_seldom() -> None:
 
 
 def stops(stopper: StreamStopper, seconds: float) -> list[int]:
-    """What is asked to stop, while all of it goes on."""
+    """Return the streams that are requested to stop, while all of them go on."""
     asked = []
     for tick in range(round(seconds / TICK_S)):
         for number in [HIGHRES_IMU, ODOMETRY]:

@@ -80,7 +80,7 @@ def numbers(value: object) -> Iterator[float]:
 
 
 def known_after(message: Message) -> tuple[VehicleView, list[Event]]:
-    """What the session knows of the vehicle after good reports, and then this one."""
+    """Return the session's view of the vehicle after good reports, and then this one."""
     inbound, vehicle, now_s = VehicleInbound(), VehicleView(), 10.0
     for good in reports().values():
         for event in inbound.events(good, now_s):
@@ -99,8 +99,8 @@ def test_what_nobody_knows_is_never_a_number(name: str) -> None:
         message = reports()[name]
         setattr(message, field, value)
         vehicle, events = known_after(message)
-        told = [vehicle.motion, vehicle.origin, vehicle.battery_pct, vehicle.track.latest_yaw]
-        for number in (*numbers(told), *numbers([] if name in BEYOND else events)):
+        known = [vehicle.motion, vehicle.origin, vehicle.battery_pct, vehicle.track.latest_yaw]
+        for number in (*numbers(known), *numbers([] if name in BEYOND else events)):
             assert math.isfinite(number), (field, value)
             assert abs(number) <= MOST, (field, value)
 

@@ -1,4 +1,4 @@
-"""Messages about health and targets to events; what nobody knows is no number."""
+"""Messages about health and targets to events; an unknown value is no number."""
 
 from __future__ import annotations
 
@@ -191,12 +191,12 @@ def test_an_accuracy_beyond_belief_counts_as_the_nearest_one(h_acc: int, sigma_m
 
 
 @pytest.mark.parametrize(
-    ("told_m", "sigma_m"),
+    ("reported_m", "sigma_m"),
     [(0.3, 0.3), (0.0, None), (-1.0, None), (NAN, None), (INF, None), (1e30, 1000.0)],
 )
-def test_px4_tells_metres_and_nonsense_is_none(told_m: float, sigma_m: float | None) -> None:
+def test_px4_tells_metres_and_nonsense_is_none(reported_m: float, sigma_m: float | None) -> None:
     ratios = (0.1,) * 6
-    message = mavlink.MAVLink_estimator_status_message(0, 0, *ratios, told_m, told_m)
+    message = mavlink.MAVLink_estimator_status_message(0, 0, *ratios, reported_m, reported_m)
     expected = PositionAccuracyReported(5.0, AccuracySource.ESTIMATOR, sigma_m, sigma_m)
     assert rating_of(message) == expected
 

@@ -148,7 +148,7 @@ class Wire:
         return self
 
     def ready(self, custom_mode: int = HOLD, *, is_armed: bool = True) -> Wire:
-        """In the air with everything known."""
+        """Bring the vehicle into the air with all inputs known, and return the wire."""
         self.say(heartbeat(custom_mode=HOLD, is_armed=is_armed, status=4))
         self.say(origin())
         self.say(home_position())

@@ -1,4 +1,4 @@
-"""What the tests of framing share: frames of both versions, and splitters."""
+"""Helpers of the tests of framing: frames of both versions, and splitters."""
 
 from __future__ import annotations
 

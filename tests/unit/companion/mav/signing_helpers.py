@@ -1,4 +1,4 @@
-"""What the tests of signing share: keys, and frames signed by the letter of the guide."""
+"""Helpers of the tests of signing: keys, and frames signed by the letter of the guide."""
 
 from __future__ import annotations
 

@@ -239,11 +239,11 @@ def test_an_estimate_goes_through_a_tunnel_unchanged() -> None:
     carried = over_the_wire(tunnelled(ESTIMATE))
     assert isinstance(carried, mavlink.MAVLink_tunnel_message)
     assert (carried.target_system, carried.target_component) == (0, 0)
-    told = estimate_in(carried)
-    assert told is not None
+    received = estimate_in(carried)
+    assert received is not None
     codec = MavCodec(1, 191)
-    assert codec.encode(told)[10:-2] == MavCodec(1, 191).encode(ESTIMATE)[10:-2]
-    assert (told.absolute_r95, told.own_std) == (16.0, 6.0)
+    assert codec.encode(received)[10:-2] == MavCodec(1, 191).encode(ESTIMATE)[10:-2]
+    assert (received.absolute_r95, received.own_std) == (16.0, 6.0)
     direct = over_the_wire(ESTIMATE)
     assert estimate_in(direct) is direct
 
@@ -271,10 +271,10 @@ def test_a_tunnel_is_read_at_any_length_and_without_extensions_they_are_unknown(
     length: int,
 ) -> None:
     data = list(core_fields(ESTIMATE).ljust(128, b"\0"))
-    told = estimate_in(over_the_wire(mavlink.MAVLink_tunnel_message(0, 0, 45011, length, data)))
-    assert told is not None
-    assert (told.r95, told.state) == (6.5, 2)
-    assert (told.absolute_r95, told.own_std, told.own_height_std) == (0.0, 0.0, 0.0)
+    received = estimate_in(over_the_wire(mavlink.MAVLink_tunnel_message(0, 0, 45011, length, data)))
+    assert received is not None
+    assert (received.r95, received.state) == (6.5, 2)
+    assert (received.absolute_r95, received.own_std, received.own_height_std) == (0.0, 0.0, 0.0)
 
 
 def test_an_estimate_without_extensions_is_read_and_they_are_unknown() -> None:
@@ -283,6 +283,6 @@ def test_an_estimate_without_extensions_is_read_and_they_are_unknown() -> None:
     older = MAVLink_target_estimate_message(*[*core, 0.0, 0.0, 0.0])
     frame = MavCodec(1, 191).encode(older)
     assert frame[10:-2] == core_fields(ESTIMATE)
-    (told,) = MavCodec(9, 9).decode(frame)
-    assert isinstance(told, MAVLink_target_estimate_message)
-    assert (told.r95, told.state, told.absolute_r95) == (6.5, 2, 0.0)
+    (received,) = MavCodec(9, 9).decode(frame)
+    assert isinstance(received, MAVLink_target_estimate_message)
+    assert (received.r95, received.state, received.absolute_r95) == (6.5, 2, 0.0)

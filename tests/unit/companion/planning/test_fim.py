@@ -137,7 +137,7 @@ def test_printed_it_flies_at_the_target_whose_bearing_it_believes_in() -> None:
 
 
 def test_the_joint_covariance_decides_where_there_is_one() -> None:
-    """Known to the north, unknown to the east: only a view along the east tells more."""
+    """Known to the north, unknown to the east: only a view along the east adds information."""
     known_north = frozen(np.diag([100.0, 0.01, 1e-6, 1e-6]))
     planner = FimPlanner(FimParams(), 1.5, 0.5)
     request = PlanRequest((0.0, 0.0), _target((0.0, 30.0)), joint_covariance=known_north)
@@ -170,7 +170,7 @@ def test_a_power_alone_is_a_range_whose_noise_grows_with_the_distance() -> None:
 
 
 def test_with_ranges_alone_and_no_worst_direction_it_stalls() -> None:
-    """One range tells one direction; the other one's variance stays, wherever it is taken."""
+    """One range informs on one direction; the other one's variance stays, wherever it is taken."""
     planner = FimPlanner(FimParams(near_target_terms=False))
     request = PlanRequest((0.0, 0.0), _target((30.0, 0.0)), baseline_m=20.0, height_m=20.0)
     assert planner.plan(request, None).waypoint.reason is WaypointReason.HOLD

@@ -33,8 +33,10 @@ NONE = LEVEL._replace(rows=0)
 SURE = ((0.01, 0.0), (0.0, 0.01))
 
 
-def _sighted(antenna: Antenna = LEVEL, *, descend: bool = False, told: bool = True) -> Any:
-    sensor = SensorGeometry(antenna, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_configured=told)
+def _sighted(antenna: Antenna = LEVEL, *, descend: bool = False, is_configured: bool = True) -> Any:
+    sensor = SensorGeometry(
+        antenna, 5.0, 2.5, lowest_m=6.0, room_m=14.0, is_height_configured=is_configured
+    )
     return LatchedCrossing(LatchedCrossingParams(descend=descend), sensor)
 
 
@@ -81,7 +83,10 @@ def test_an_overshoot_is_never_shorter_than_what_both_sides_need() -> None:
     [
         (_sighted(NONE), {}),  # an azimuth is as good at any height
         (_sighted(NONE, descend=True), {}),
-        (_sighted(NONE, told=False), {"baseline_m": 20.0}),  # ranges to a target in the plane
+        (
+            _sighted(NONE, is_configured=False),
+            {"baseline_m": 20.0},
+        ),  # ranges to a target in the plane
         (_sighted(), {"sigmas": None}),
     ],
 )

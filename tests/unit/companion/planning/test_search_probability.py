@@ -1,4 +1,4 @@
-"""Where the planner by probability flies, and what it keeps to."""
+"""Routes of the planner by probability, and the limits that it keeps to."""
 
 from __future__ import annotations
 

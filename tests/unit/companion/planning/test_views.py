@@ -1,4 +1,4 @@
-"""What a leg tells, against numerical integration of the filter's model, and its overshoot."""
+"""Information of a leg, against numerical integration of the filter's model; its overshoot."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _turned(axis: Mount, yaw_rad: float) -> Vector:
     return np.array([c * axis[0] - s * axis[1], s * axis[0] + c * axis[1], axis[2]])
 
 
-def _told(
+def _information(
     antenna: Antenna, d_m: float, height_m: float, range_m: float, cosine_rad: float, yaw_rad: float
 ) -> float:
     """Trace of the information about the position by the filter's own Jacobian, leg along east."""
@@ -80,15 +80,15 @@ def _told(
     pose = np.concatenate([[-d_m, 0.0, height_m], first, second])
     H = jacobian(np.zeros(4), pose, model)[:, :2]
     u = np.array([d_m, 0.0, -height_m]) / math.hypot(d_m, height_m)
-    told = float(H[0] @ H[0]) / range_m**2
+    of_range = float(H[0] @ H[0]) / range_m**2
     if antenna.is_planar:
         x, y = float(first @ u), float(second @ u)
         row = (x * H[2] - y * H[1]) / (x * x + y * y)
-        return told + float(row @ row) * (x * x + y * y) / cosine_rad**2
+        return of_range + float(row @ row) * (x * x + y * y) / cosine_rad**2
     if abs(_turned(antenna.boresight, yaw_rad) @ u) < math.cos(antenna.half_view_rad):
-        return told
+        return of_range
     rows = H[1 : 1 + antenna.rows]
-    return told + float((rows * rows).sum()) / cosine_rad**2
+    return of_range + float((rows * rows).sum()) / cosine_rad**2
 
 
 @pytest.mark.parametrize(("kind", "mount", "view_deg"), MOUNTS)
@@ -101,7 +101,9 @@ def test_the_closed_form_is_the_integral_of_what_the_filters_model_tells(
     steps = 2000
     width_m = 2.0 * reach_m / steps
     middles = (np.arange(steps) + 0.5) * width_m - reach_m
-    summed = sum(_told(antenna, d, 12.0, 0.8, 0.05, yaw_rad) for d in middles.tolist()) * width_m
+    summed = (
+        sum(_information(antenna, d, 12.0, 0.8, 0.05, yaw_rad) for d in middles.tolist()) * width_m
+    )
     assert information(reach_m, leg) == pytest.approx(summed, rel=2e-3)
 
 
@@ -159,8 +161,8 @@ def test_the_marginal_is_the_derivative(leg: LegView, reach_m: float) -> None:
     if any(abs(reach_m - leg.height_m * edge) < 2.0 * step_m for edge in edges):
         return
     around = information(reach_m + step_m, leg) - information(reach_m - step_m, leg)
-    told = around / (2.0 * step_m)
-    assert marginal(reach_m, leg) == pytest.approx(told, rel=1e-4, abs=1e-6)
+    expected = around / (2.0 * step_m)
+    assert marginal(reach_m, leg) == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,4 +1,4 @@
-"""What the process holds, counted."""
+"""Counts of the resources that the process holds."""
 
 from __future__ import annotations
 

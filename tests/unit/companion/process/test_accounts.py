@@ -1,4 +1,4 @@
-"""What the process takes is recorded, and what goes wrong with its host is told."""
+"""Use of resources is recorded, and faults of the host are announced."""
 
 from __future__ import annotations
 

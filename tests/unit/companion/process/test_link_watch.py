@@ -8,7 +8,7 @@ from tests.unit.companion.link.wire import Journal
 
 
 class ConnectedLine(TcpClientLink):
-    """A line with somebody at the other end."""
+    """A line with a peer at the other end."""
 
     @property
     def is_connected(self) -> bool:
@@ -46,8 +46,8 @@ def test_it_is_told_rarely_and_nothing_is_left_out_of_the_sum() -> None:
         link.counters.send_errors += 1
         watch.check(tenth / 10.0)
     assert len(journal.texts) in (9, 10)
-    told = sum(int(text.split("rejected ")[1].split()[0]) for text in journal.texts)
-    assert told > 900
+    announced = sum(int(text.split("rejected ")[1].split()[0]) for text in journal.texts)
+    assert announced > 900
 
 
 def test_before_anybody_is_there_it_is_no_news_that_nothing_is_sent() -> None:

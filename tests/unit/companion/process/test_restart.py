@@ -1,4 +1,4 @@
-"""Which memories are taken up, and which files are kept or deleted."""
+"""Checkpoints that are resumed, and files that are kept or deleted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Clock:
 
 @pytest.fixture(autouse=True)
 def _binds_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How long an autopilot is listened for before it is bound is another test's business."""
+    """Bind an autopilot at once: the time of listening is tested elsewhere."""
     monkeypatch.setattr("companion.link.binding.LISTEN_S", 0.0)
 
 
@@ -291,12 +291,12 @@ def test_a_memory_waits_for_the_autopilots_fence_which_may_be_another_one_in_the
     config = CompanionConfig(limits=LimitsConfig(autopilot_fence="use"))
     process = Process()
 
-    def tell(fence: tuple[tuple[float, float], ...]) -> None:
+    def read_fence(fence: tuple[tuple[float, float], ...]) -> None:
         assert process.endpoint is not None
         process.endpoint.session.handle(AutopilotFenceRead(0.0, GeoFence(GeoArea(fence))))
 
     keeper = process.start(config)
-    tell(FIELD)
+    read_fence(FIELD)
     process.fly(keeper)
     kept = dict(process.store.slots)
     keeper = process.start(config)
@@ -305,7 +305,7 @@ def test_a_memory_waits_for_the_autopilots_fence_which_may_be_another_one_in_the
     assert not process.said("resumed after")
     assert process.endpoint is not None
     process.endpoint.session.handle(LandedStateChanged(0.0, landed))
-    tell(corners)
+    read_fence(corners)
     process.fly(keeper)
     assert process.said("resumed after") is is_resumed
     assert process.said("other limits or another fence") is not is_resumed

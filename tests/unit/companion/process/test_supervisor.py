@@ -1,4 +1,4 @@
-"""What the service manager hears, on real sockets of both kinds."""
+"""Messages to the service manager, on real sockets of both kinds."""
 
 from __future__ import annotations
 

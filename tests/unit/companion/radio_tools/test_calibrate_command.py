@@ -78,9 +78,9 @@ def test_a_recording_becomes_a_verdict_and_a_configuration_that_loads(
     assert settings["bearing_mount_deg"] == pytest.approx(12.0, abs=1.5)
     assert loaded.estimation.filter.range_sigma_m == pytest.approx(0.11, rel=0.35)
     assert loaded.estimation.filter.use_reported_sigma is False
-    told = json.loads((tmp_path / "out.json").read_text())
-    assert told["range"]["offset_m"]["low"] < 27.3 < told["range"]["offset_m"]["high"]
-    assert told["usable_ranges"] is True
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert written["range"]["offset_m"]["low"] < 27.3 < written["range"]["offset_m"]["high"]
+    assert written["usable_ranges"] is True
 
 
 def test_two_antennas_become_an_antenna_of_the_estimator(

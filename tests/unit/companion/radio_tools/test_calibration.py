@@ -199,10 +199,10 @@ def test_a_blocked_run_is_told_or_found() -> None:
     assert found is not None
     assert found.share == pytest.approx(0.8, abs=0.15)
     windows = (RunWindow("blocked", 100.0 + low_s, 100.0 + high_s),)
-    told = calibrate(replace(run, windows=windows)).blocked
-    assert told is not None
-    assert told.share == pytest.approx(0.75, abs=0.1)
-    assert told.excess_m == pytest.approx(3.3, abs=0.7)
+    blocked = calibrate(replace(run, windows=windows)).blocked
+    assert blocked is not None
+    assert blocked.share == pytest.approx(0.75, abs=0.1)
+    assert blocked.excess_m == pytest.approx(3.3, abs=0.7)
 
 
 def test_a_sigma_that_the_radio_reports_is_kept_where_it_fits() -> None:

@@ -21,14 +21,14 @@ ALSO = {"ftm_csv": {"esp32_ftm"}}
 """Formats that two decoders share."""
 STEP_S = 0.05
 OTHER_SPEED = np.random.default_rng(0).bytes(1 << 16)
-"""What a serial port hears at another speed."""
+"""Bytes that a serial port reads at another speed."""
 URLS = {
     "serial": "/dev/ttyUSB0",
     "http": "http://127.0.0.1:8081",
     "wss": "ws://127.0.0.1:1",
     "exec": "exec:radio",
 }
-"""Where a radio is looked for, by its usual transport; others by UDP."""
+"""Addresses at which a radio is searched, by its usual transport; others by UDP."""
 
 
 def round_at(emulator: Emulator, now_s: float, number: int) -> Round:
@@ -55,7 +55,7 @@ class Bench:
         self.emulator = make_emulator(name, 3)
         self.kind = radio_kind(radio)
         self._period_s = 1.0 / (rate_hz or self.emulator.rate_hz)
-        self._rounds = self._told()
+        self._rounds = self._output()
         scheme, _, speed = self.kind.transport.partition(":")
         self._baud = int(speed) if scheme == "serial" else None
         self.url = URLS.get(scheme, "udp:127.0.0.1:5005")
@@ -63,8 +63,8 @@ class Bench:
     def clock(self) -> float:
         return self.now_s
 
-    def _told(self) -> Iterator[bytes]:
-        """What it prints until the present, each time that is asked."""
+    def _output(self) -> Iterator[bytes]:
+        """Yield all that it printed since the last call."""
         number, due_s = 0, 0.0
         yield self.emulator.banner
         while True:
@@ -75,14 +75,14 @@ class Bench:
             yield said
 
     def _printed(self, attempt: Attempt) -> bytes:
-        told = next(self._rounds)
+        data = next(self._rounds)
         if attempt.baud is not None and attempt.baud != self._baud:
-            return OTHER_SPEED[: len(told)]
+            return OTHER_SPEED[: len(data)]
         poll = radio_kind(attempt.radio).poll
         if self.emulator.request and poll is not None and attempt.radio == self.kind.name:
-            told += self.emulator.hear(poll.request or poll.probe)
+            data += self.emulator.hear(poll.request or poll.probe)
         is_page = attempt.url.startswith("http")
-        return b"" if is_page and attempt.radio != self.kind.name else told
+        return b"" if is_page and attempt.radio != self.kind.name else data
 
     def hear(self, attempt: Attempt, listener: Listener) -> None:
         began_s = self.now_s
@@ -205,7 +205,7 @@ KERNEL = (
     b"[   13.000000] hci0: link lost, last RSSI -67\n"
 )
 OTHERS = (NMEA, HEARTBEAT, MODEM, KERNEL, b"12|34|56\r\n82|82|56\r\n1234|82|56\r\n")
-"""What other devices send; the last one is three columns of an unknown program."""
+"""Output of other devices; the last one is three columns of an unknown program."""
 
 
 @pytest.mark.parametrize("said", OTHERS, ids=["nmea", "mavlink", "modem", "kernel", "columns"])

@@ -1,4 +1,4 @@
-"""What radios really print, typed as a user types it: the right value, or a reason that helps.
+"""Lines of real radios as a user types them: the right value, or a reason that helps.
 
 Lines have the shape of public logs; numbers and addresses are changed.
 """

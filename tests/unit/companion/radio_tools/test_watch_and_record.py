@@ -1,4 +1,4 @@
-"""What `companion radio watch` shows, and what `record` keeps and a replay makes of it."""
+"""Output of `companion radio watch`, and recordings of `record` and their replay."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ KIND = RadioKind("metres", Metres, "Metres a line", "range", "anything", "serial
 
 
 def install(site: Path, *, package: str, entries: str, code: str | None = GOOD) -> None:
-    """As pip leaves a package in a folder of the path."""
+    """Write a package into a folder of the path, as pip does."""
     info = site / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")

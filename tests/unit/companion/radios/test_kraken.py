@@ -167,7 +167,7 @@ def test_a_line_array_is_refused_unless_the_user_knows_its_side() -> None:
 
 
 def readings_at(decoder: KrakenLinesDecoder, *lines: tuple[int, int]) -> list[bool]:
-    """Whether each line, of a time after the first in ms and a frequency in MHz, was believed."""
+    """Return True for each accepted line, of a time after the first, ms, and a frequency, MHz."""
     return [
         bool(decoder.feed(line(1718000000000 + ms, frequency_hz=mhz * 1_000_000), 0.0))
         for ms, mhz in lines
@@ -175,7 +175,7 @@ def readings_at(decoder: KrakenLinesDecoder, *lines: tuple[int, int]) -> list[bo
 
 
 def test_a_frequency_that_was_just_tuned_to_is_skipped_for_two_seconds() -> None:
-    told = readings_at(
+    believed = readings_at(
         KrakenLinesDecoder(),
         (0, 433),
         (500, 433),
@@ -185,7 +185,7 @@ def test_a_frequency_that_was_just_tuned_to_is_skipped_for_two_seconds() -> None
         (3000, 868),
     )
 
-    assert told == [True, True, False, False, False, True]
+    assert believed == [True, True, False, False, False, True]
 
 
 def test_tuning_back_is_skipped_as_well_once_the_frequency_was_away() -> None:

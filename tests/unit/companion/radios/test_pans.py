@@ -1,4 +1,4 @@
-"""What a DWM1001 with PANS prints, and answers."""
+"""Lines and answers of a DWM1001 with PANS."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def ranges(readings: list[RadioReading]) -> dict[object, float | None]:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "expected"),
     [
         (FOUR, {"022E": 3.44, "9280": 5.68, "DCAE": 7.76, "5431": 8.73}),
         (THREE, {"2F2F": 2.20, "2ED0": 2.23, "2BA2": 3.13}),
@@ -46,10 +46,10 @@ def ranges(readings: list[RadioReading]) -> dict[object, float | None]:
     ],
 )
 def test_a_line_tells_a_range_an_anchor_and_nothing_of_the_own_place(
-    line: str, told: dict[object, float]
+    line: str, expected: dict[object, float]
 ) -> None:
     decoder = PansDecoder()
-    assert ranges(decoder.feed(f"{line}\r\n".encode(), 0.0)) == told
+    assert ranges(decoder.feed(f"{line}\r\n".encode(), 0.0)) == expected
     assert decoder.counts.frames == 1
     assert not decoder.counts.refused
 
@@ -98,8 +98,8 @@ def test_an_answer_need_not_have_a_place_and_its_place_does_not_matter() -> None
     bare = ANSWER[:3] + ANSWER[18:]
     moved = ANSWER[:5] + POSITION + ANSWER[18:]
     decoder = PansTlvDecoder()
-    told = {"2F2F": 2.2, "2ED0": 2.23}
-    assert [ranges(decoder.feed(stream, 0.0)) for stream in (bare, moved)] == [told, told]
+    expected = {"2F2F": 2.2, "2ED0": 2.23}
+    assert [ranges(decoder.feed(stream, 0.0)) for stream in (bare, moved)] == [expected, expected]
 
 
 def test_an_anchor_tells_its_tags() -> None:

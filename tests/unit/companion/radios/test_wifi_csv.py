@@ -158,10 +158,10 @@ def test_a_unit_in_the_column_s_name_or_in_the_options_comes_first() -> None:
     assert named.device_time_s == pytest.approx(123.456)
     assert named.emitter == "aa:bb:cc:dd:ee:ff"
 
-    (told,) = AndroidRttDecoder(
+    (reading,) = AndroidRttDecoder(
         AndroidRttOptions(time_unit="us", unit="m", single_emitter=True)
     ).feed(b"timestamp,dist\n5000000,4.5\n", 0.0)
-    assert told.device_time_s == pytest.approx(5.0)
+    assert reading.device_time_s == pytest.approx(5.0)
 
 
 def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""A flight keeps the radio's own bytes, and its replay decodes them anew: alike, or otherwise."""
+"""A flight keeps the radio's own bytes, and its replay decodes them again, also otherwise."""
 
 from __future__ import annotations
 

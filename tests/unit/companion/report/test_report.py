@@ -71,7 +71,7 @@ FLIGHT = [estimate(0.5 * n, 20.0 / (1 + n)) for n in range(40)] + [text(3.0, "fl
 
 
 class Tags(HTMLParser):
-    """What a page loads, and the elements in it."""
+    """Elements of a page, and the resources that it loads."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -136,14 +136,14 @@ def test_the_verdict_is_what_the_flight_came_to() -> None:
     assert verdict_of(summarize_events([])) == "no measurement was used"
 
 
-@pytest.mark.parametrize(("is_told", "words"), [(True, ""), (False, ", assumed")])
-def test_both_radii_are_told_where_the_log_has_both(is_told: bool, words: str) -> None:
-    own = {"absolute_r95_m": 3.7, "own_sigma_m": 1.5, "own_sigma_told": is_told}
+@pytest.mark.parametrize(("is_reported", "words"), [(True, ""), (False, ", assumed")])
+def test_both_radii_are_told_where_the_log_has_both(is_reported: bool, words: str) -> None:
+    own = {"absolute_r95_m": 3.7, "own_sigma_m": 1.5, "own_sigma_told": is_reported}
     lines = [{**estimate(1.0), **own}, {**RESULT, **own}]
-    told = f"R95 3.70 m absolute, 0.40 m relative (GNSS 1.50 m{words})"
-    assert verdict_of(summarize_events(lines)) == f"localised, {told}"
+    radii = f"R95 3.70 m absolute, 0.40 m relative (GNSS 1.50 m{words})"
+    assert verdict_of(summarize_events(lines)) == f"localised, {radii}"
     page = page_of(lines)
-    assert f"reported: localised, {told}" in page
+    assert f"reported: localised, {radii}" in page
     assert page.count('<circle class="radius"') == page.count('<circle class="absolute"') == 1
     assert '<circle class="absolute"' not in page_of(FLIGHT)
 

@@ -16,7 +16,7 @@ SQUARE = ((0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0))
 
 @pytest.fixture
 def prior() -> SearchPrior:
-    """After a lane along the southern border."""
+    """Return the prior after a lane along the southern border."""
     area = SearchedArea(grid_over([WeightedArea(SQUARE)], 20.0), DetectionModel(reach_m=80.0))
     for east in np.arange(0.0, 400.0, 5.0):
         area.listen((float(east), 60.0, 20.0), 1.0)

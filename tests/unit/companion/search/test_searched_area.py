@@ -20,7 +20,7 @@ def one_cell() -> SearchGrid:
 
 
 def pod_of(looks: list[tuple[float, float, float]], model: DetectionModel = MODEL) -> float:
-    """Of a cell at the origin; looks are east of it, height and seconds."""
+    """Return the POD of a cell at the origin; looks are east of it, height and seconds."""
     area = SearchedArea(one_cell(), model)
     for east_m, up_m, seconds in looks:
         area.listen((east_m, 0.0, up_m), seconds)

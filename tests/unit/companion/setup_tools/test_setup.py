@@ -48,9 +48,9 @@ def test_by_flags_it_writes_what_a_flight_needs(
     assert config.estimation == load_config(ROOT / "configs/radios/esp32_ftm.yaml").estimation
     assert config.limits.fence_file == str(etc / "fence.plan")
     assert (etc / "service.env").read_text() == f"COMPANION_OPTIONS=--connect {SERIAL}\n"
-    told = capsys.readouterr().out
-    assert "COM_OBL_RC_ACT" in told
-    assert f"companion --connect {SERIAL} --config {etc / 'companion.yaml'}" in told
+    output = capsys.readouterr().out
+    assert "COM_OBL_RC_ACT" in output
+    assert f"companion --connect {SERIAL} --config {etc / 'companion.yaml'}" in output
 
 
 def test_on_a_terminal_it_asks_for_what_no_flag_says(
@@ -73,10 +73,10 @@ def test_on_a_terminal_it_asks_for_what_no_flag_says(
         "Preset",
         "Fence, a .plan or .kml file",
     ]
-    told = capsys.readouterr().out
-    assert "one of: px4, ardupilot" in told
-    assert "set in ArduPilot" in told
-    assert "SERIAL2_BAUD" not in told, "there is no serial port"
+    output = capsys.readouterr().out
+    assert "one of: px4, ardupilot" in output
+    assert "set in ArduPilot" in output
+    assert "SERIAL2_BAUD" not in output, "there is no serial port"
 
 
 def test_somebody_who_leaves_has_written_nothing(tmp_path: Path) -> None:

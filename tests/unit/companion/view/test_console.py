@@ -15,7 +15,7 @@ from companion.view.log_lines import ConsoleHandler
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For a writer that a busy machine keeps waiting."""
+    """Prolong the timeout for a writer on a busy machine."""
     monkeypatch.setattr(log_lines, "CLOSE_TIMEOUT_S", 30.0)
 
 

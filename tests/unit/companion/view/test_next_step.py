@@ -24,7 +24,7 @@ def flown() -> Loop:
     return loop
 
 
-def told(loop: Loop, **changes: object) -> str:
+def hint(loop: Loop, **changes: object) -> str:
     return next_step(loop.companion, status_of(loop, **changes))
 
 
@@ -34,19 +34,19 @@ def status_of(loop: Loop, **changes: object) -> GuidanceStatus:
 
 @pytest.mark.parametrize("phase", Phase)
 def test_every_phase_has_a_short_sentence_of_its_own(flown: Loop, phase: Phase) -> None:
-    text = told(flown, phase=phase, detail="")
+    text = hint(flown, phase=phase, detail="")
     assert text.endswith(".")
     assert len(text.split()) <= MOST_WORDS
-    others = {told(flown, phase=each, detail="") for each in Phase if each is not phase}
+    others = {hint(flown, phase=each, detail="") for each in Phase if each is not phase}
     assert text not in others
 
 
 def test_before_anything_is_heard_it_says_what_to_switch_on() -> None:
-    assert told(Loop(seed=1)).startswith("Switch the autopilot on.")
+    assert hint(Loop(seed=1)).startswith("Switch the autopilot on.")
 
 
 def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
-    assert "failsafe" in told(flown, is_link_lost=True)
+    assert "failsafe" in hint(flown, is_link_lost=True)
 
 
 @pytest.mark.parametrize(
@@ -59,16 +59,16 @@ def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
     ],
 )
 def test_it_goes_by_what_is_known(flown: Loop, changes: dict[str, object], words: str) -> None:
-    assert words in told(flown, **{"phase": Phase.NORMAL, **changes})
+    assert words in hint(flown, **{"phase": Phase.NORMAL, **changes})
 
 
 @pytest.mark.parametrize("state", EstimateState)
 def test_a_search_is_told_by_the_state_of_its_estimate(flown: Loop, state: EstimateState) -> None:
     estimate = flown.companion.session.estimate
     assert estimate is not None
-    told_now = told(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))
-    assert ("two positions" in told_now) is (state is EstimateState.AMBIGUOUS)
-    assert ("report" in told_now) is (state is EstimateState.LOCALISED)
+    hint_now = hint(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))
+    assert ("two positions" in hint_now) is (state is EstimateState.AMBIGUOUS)
+    assert ("report" in hint_now) is (state is EstimateState.LOCALISED)
 
 
 def test_after_a_launched_flight_was_taken_over_it_is_not_about_to_take_off() -> None:
@@ -76,13 +76,13 @@ def test_after_a_launched_flight_was_taken_over_it_is_not_about_to_take_off() ->
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 30.0)
     loop.choose(FlightMode.HOLD)
     loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0)
-    assert "stay in another mode until ready" in told(loop)
+    assert "stay in another mode until ready" in hint(loop)
     loop.run_until(lambda: loop.phase is Phase.STANDBY, 5.0)
-    assert told(loop).startswith("Switch to offboard mode to give control.")
+    assert hint(loop).startswith("Switch to offboard mode to give control.")
 
 
 def test_where_a_grant_is_needed_it_says_how(flown: Loop) -> None:
     flown.companion.session.authority.demand_grant("failsafe")
-    text = told(flown, phase=Phase.YIELD)
+    text = hint(flown, phase=Phase.YIELD)
     assert GRANT_HOW in text
     assert len(text.split()) <= MOST_WORDS

@@ -1,4 +1,4 @@
-"""What views are told of a moment."""
+"""The picture of a moment that views receive."""
 
 import json
 import math
@@ -44,7 +44,7 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
 
 
 def antenna_view(mount_deg: tuple[float, float, float], kind: AntennaKind) -> dict[str, Any]:
-    """What is drawn of an antenna with a view of 120 degrees, in the first seconds."""
+    """Return the picture of an antenna with a view of 120 degrees, in the first seconds."""
     antenna = AntennaParams(kind=kind, mount_deg=mount_deg, field_of_view_deg=120.0)
     change = msgspec.structs.replace
     believed = change(CONFIG.estimation.filter, antenna=antenna)

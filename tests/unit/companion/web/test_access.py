@@ -1,4 +1,4 @@
-"""Who may see the page and press its buttons."""
+"""Access to the page and its buttons."""
 
 import pytest
 

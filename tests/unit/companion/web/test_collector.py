@@ -1,4 +1,4 @@
-"""What the map remembers of the past is bounded, and sent once."""
+"""The past on the map is bounded, and sent once."""
 
 from companion.guidance.commands import Severity
 from companion.web.live_map import MARKS, TEXTS, Collector

@@ -1,4 +1,4 @@
-"""What was located goes to the page as plain values, and comes out as the same hand-off."""
+"""Located emitters go to the page as plain values, and come out as the same hand-off."""
 
 from __future__ import annotations
 
@@ -18,6 +18,6 @@ def test_a_hand_off_of_the_page_is_the_flights_own() -> None:
     estimate, origin = loop.companion.session.estimate, loop.companion.session.vehicle.origin
     assert estimate is not None
     assert origin is not None
-    told = {"emitter": "7", "estimate": estimate, "origin": origin, "unix_s": 1.8e9}
-    found = msgspec.convert(json.loads(json.dumps(plain(told))), Found)
+    fields = {"emitter": "7", "estimate": estimate, "origin": origin, "unix_s": 1.8e9}
+    found = msgspec.convert(json.loads(json.dumps(plain(fields))), Found)
     assert found.handoff == handoff_of("7", estimate, origin, 1.8e9)

@@ -1,4 +1,4 @@
-"""What is refused before a page is made, and what every answer carries."""
+"""Requests refused before a page is made, and headers of every answer."""
 
 from __future__ import annotations
 

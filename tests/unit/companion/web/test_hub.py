@@ -1,4 +1,4 @@
-"""What the page's process makes of the pictures."""
+"""Messages that the page's process makes of the pictures."""
 
 import asyncio
 import json

@@ -21,7 +21,7 @@ WHOLE = (
     '{"fd": FD, "scene": {}, "settings": {"host": "127.0.0.1", "token": null, '
     '"is_control_on": false, "is_view_open": false, "tiles": null}}\n'
 )
-"""What the page's process is told first."""
+"""First message to the page's process."""
 
 
 def test_a_taken_port_is_a_clear_error() -> None:

@@ -1,4 +1,4 @@
-"""What the simulated autopilot remembers of the setpoints that it gets."""
+"""State that the simulated autopilot keeps of the setpoints that it receives."""
 
 from __future__ import annotations
 

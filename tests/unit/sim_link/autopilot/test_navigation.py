@@ -87,7 +87,7 @@ def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("noise_m", "changes", "told"),
+    ("noise_m", "changes", "expected_m"),
     [
         (0.0, {}, (0.02, 0.04)),
         (0.3, {}, (math.hypot(0.02, 0.3), math.hypot(0.04, 0.3))),
@@ -96,26 +96,28 @@ def test_without_sizes_there_is_no_error_and_nothing_is_drawn() -> None:
     ],
 )
 def test_without_an_error_it_is_a_receiver_with_rtk(
-    noise_m: float, changes: dict[str, float], told: tuple[float, float]
+    noise_m: float, changes: dict[str, float], expected_m: tuple[float, float]
 ) -> None:
     params = NavigationParams(**changes)  # type: ignore[arg-type]
     estimator = Estimator(ORIGIN, GpsParams(), noise_m, np.random.default_rng(1), params)
-    assert estimator.reported_accuracy_m == pytest.approx(told)
+    assert estimator.reported_accuracy_m == pytest.approx(expected_m)
     assert estimator.fix == "rtk_fixed"
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "expected_m"),
     [
         ({}, (1.5, 3.0)),
         ({"reported_ratio": 0.4}, (0.6, 1.2)),
         ({"reports_accuracy": False}, (0.0, 0.0)),
     ],
 )
-def test_what_it_tells_of_itself(changes: dict[str, float], told: tuple[float, float]) -> None:
+def test_what_it_tells_of_itself(
+    changes: dict[str, float], expected_m: tuple[float, float]
+) -> None:
     params = NavigationParams(sigma_m=1.5, height_sigma_m=3.0, **changes)  # type: ignore[arg-type]
     estimator = Estimator(ORIGIN, GpsParams(), 0.0, np.random.default_rng(1), params)
-    assert estimator.reported_accuracy_m == pytest.approx(told)
+    assert estimator.reported_accuracy_m == pytest.approx(expected_m)
 
 
 def test_the_bias_is_all_that_the_report_is_off_by() -> None:

@@ -1,4 +1,4 @@
-"""What an emulator prints, its decoder reads back, to the last step of the format.
+"""An emulator's output is decoded to the last step of the format.
 
 The two were written from the same description and share nothing else: where they agree on what a
 field means, both have understood it, or both have not. The vectors are the judge of that.
@@ -30,7 +30,7 @@ CLOCK_S = 100.0
 
 
 def formats(*needed: str) -> list[object]:
-    """All that tell something."""
+    """Return all formats with a field of a measurement."""
     chosen = [each for each in ALL if all(getattr(each, name) for name in needed)]
     return [pytest.param(each, id=each.name) for each in chosen]
 
@@ -55,7 +55,7 @@ def drawn(rng: np.random.Generator, sent_at_s: float, *, is_array: bool) -> Rang
 def said(
     format_: Format, rounds: int = ROUNDS, clock_s: float = CLOCK_S
 ) -> tuple[list[RangingMeasurement], list[tuple[bytes, float]]]:
-    """What was measured, and what was printed of it and when."""
+    """Return the measurements, and the bytes printed of them with their times."""
     rng = np.random.default_rng(11)
     radio = make_emulator(format_.name, 1, clock_s)
     measured, printed = [], [(radio.banner, 0.0)]
@@ -196,13 +196,13 @@ def test_emitters_are_told_apart(format_: Format) -> None:
     stage = RadioStage(format_.setup(1, emitters=names))
     rng = np.random.default_rng(5)
     is_array = radio.antenna in ("line", "two_axis")
-    told = {i: replace(drawn(rng, 2.0, is_array=is_array), emitter_id=i) for i in ids}
+    measured = {i: replace(drawn(rng, 2.0, is_array=is_array), emitter_id=i) for i in ids}
     stage.receive(radio.banner or b"\n", 0.0)
-    asked = Round(2.0, (*(Answer(i, told[i]) for i in ids[:3]), Answer(5)))
+    asked = Round(2.0, (*(Answer(i, measured[i]) for i in ids[:3]), Answer(5)))
     got = stage.receive(radio.say(asked), 2.0)
     assert sorted(each.emitter_id for each in got) == [1, 2, 3]
     for each in got:
-        expected = told[each.emitter_id]
+        expected = measured[each.emitter_id]
         if format_.range_m is not None:
             assert each.range_m == pytest.approx(expected.range_m, abs=SLACK * format_.range_m)
 

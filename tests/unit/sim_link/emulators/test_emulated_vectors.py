@@ -1,4 +1,4 @@
-"""What real radios were seen to print, built by the emulators byte for byte."""
+"""Observed output of real radios, built by the emulators byte for byte."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ PEERS = (
 
 def test_nooploop_prints_ranges_and_angles() -> None:
     node = Node(0, 160_702, 0, 4.847, TAG, of_hex("00 00 f1 06"))
-    told = (
+    record = (
         (0, 0.767, 28.50, -81.5, -79.5),
         (1, 0.770, 1.73, -82.0, -79.5),
         (2, 1.004, 9.71, -82.5, -80.0),
         (3, 1.416, -49.67, -81.5, -80.0),
     )
-    peers = [Peer(i, m, fp, rx, left, role=ANCHOR) for i, m, left, fp, rx in told]
+    peers = [Peer(i, m, fp, rx, left, role=ANCHOR) for i, m, left, fp, rx in record]
     vector = (
         "55 07 42 00 02 00 be 73 02 00 00 00 00 00 00 00 f1 06 ef 12 04 01 00 ff 02 00 22 0b "
         "a3 9f 9e 00 01 01 02 03 00 ad 00 a4 9f 00 00 01 02 ec 03 00 cb 03 a5 a0 00 00 01 03 "
@@ -104,7 +104,7 @@ def test_nooploop_prints_place_and_ranges() -> None:
     node = Node(1, 9_157, 1_926_842, 4.973, TAG)
     position_m, velocity_mps = (2.782, -0.033, 1.000), (-0.0006, 0.0026, 0.0)
     motion = NodeState(b"\x06\x09\xff", position_m, velocity_mps, vector[31:102], vector[106:116])
-    told = (
+    record = (
         (0, 3.179, -88.5, -79.5, "16 45"),
         (1, 5.548, -90.0, -80.5, "d3 01"),
         (2, 6.728, -101.0, -79.5, "38 ba"),
@@ -112,7 +112,7 @@ def test_nooploop_prints_place_and_ranges() -> None:
     )
     peers = [
         Peer(i, metres, fp, rx, reserved=of_hex(rest), system_ms=1_926_822)
-        for i, metres, fp, rx, rest in told
+        for i, metres, fp, rx, rest in record
     ]
     assert node_frame2(node, motion, peers) == vector
 
@@ -175,7 +175,7 @@ def test_pans_prints_its_anchors() -> None:
 
 
 def test_qorvo_prints_a_session() -> None:
-    told = {
+    record = {
         "distance[cm]": "91",
         "loc_az_pdoa": "65.35",
         "loc_az": "24.90",
@@ -185,7 +185,7 @@ def test_qorvo_prints_a_session() -> None:
         "rmt_el": "13.59",
         "RSSI[dBm]": "-66.5",
     }
-    assert session_info_ntf(0, [qorvo_record(1, told)]) == (
+    assert session_info_ntf(0, [qorvo_record(1, record)]) == (
         "SESSION_INFO_NTF: {session_handle=1, sequence_number=0, block_index=0, n_measurements=1\n"
         ' [mac_address=0x0001, status="SUCCESS", distance[cm]=91, loc_az_pdoa=65.35, loc_az=24.90,'
         " loc_el_pdoa=32.12, loc_el=12.01, rmt_az=22.84, rmt_el=13.59, RSSI[dBm]=-66.5]}"

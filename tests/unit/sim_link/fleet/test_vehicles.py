@@ -44,7 +44,7 @@ def set_up(wanted: FleetOptions, key: bytes, link: int) -> None:
 
 
 def answers(endpoint: SimEndpoint) -> list[bytes]:
-    """What the autopilot itself sends; unproved frames are passed on all the same."""
+    """Return the autopilot's own frames; unproved frames are passed on all the same."""
     return [chunk.data for chunk in endpoint.take_output() if sender_of(chunk.data) == (1, 1)]
 
 

@@ -31,7 +31,7 @@ EVERYTHING = PayloadParams()
 
 
 class Ridden:
-    """A radio on a vehicle that is told where it is; emulated, or RADIO_RANGING."""
+    """A radio on a vehicle whose position is given; emulated, or RADIO_RANGING."""
 
     def __init__(self, name: str | None, payload: PayloadParams = EVERYTHING) -> None:
         emulator = None if name is None else make_emulator(name, 3, 100.0)
@@ -39,14 +39,14 @@ class Ridden:
         rng = np.random.default_rng(3)
         self.radio = RadioFollower(payload, ChannelParams(), emitters, rng, emulator=emulator)
         self._vehicle = MavCodec(42, 1)
-        self.tell(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
+        self.send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
 
-    def tell(self, message: Message, now_s: float = 0.0) -> None:
+    def send(self, message: Message, now_s: float = 0.0) -> None:
         self.radio.receive(Chunk(FOLLOW, self._vehicle.encode(message), PEER), now_s)
 
     def move(self, east: float, north: float, up: float, stamp_s: float) -> None:
         moved = (round(1e3 * stamp_s), north, east, -up, 0, 0, 0)
-        self.tell(mavlink.MAVLink_local_position_ned_message(*moved), stamp_s)
+        self.send(mavlink.MAVLink_local_position_ned_message(*moved), stamp_s)
 
     def printed(self) -> bytes:
         return b"".join(chunk.data for chunk in self.radio.take_output() if chunk.link == SEND)
@@ -62,15 +62,15 @@ def test_what_is_printed_was_drawn_as_radio_ranging_is() -> None:
     fly(plain)
     fly(emulated)
     reader = MavCodec(0, 0)
-    told = [
+    messages = [
         message
         for chunk in plain.radio.take_output()
         for message in reader.decode(chunk.data)
         if isinstance(message, MAVLink_radio_ranging_message)
     ]
     lines = [json.loads(line) for line in emulated.printed().splitlines()]
-    assert len(told) == len(lines) == 20
-    for message, line in zip(told, lines, strict=True):
+    assert len(messages) == len(lines) == 20
+    for message, line in zip(messages, lines, strict=True):
         assert line["range"] == pytest.approx(message.range, rel=1e-6)
         assert math.remainder(line["bearing"] - message.bearing, 2.0 * math.pi) == pytest.approx(
             0.0, abs=1e-6
@@ -81,7 +81,7 @@ def test_what_is_printed_was_drawn_as_radio_ranging_is() -> None:
 def test_a_bearing_of_the_world_is_printed_from_the_nose() -> None:
     plain, emulated = Ridden("ndjson"), Ridden("kraken")
     for ridden in (plain, emulated):
-        ridden.tell(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 1.0, 0, 0, 0))
+        ridden.send(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 1.0, 0, 0, 0))
         ridden.move(10.0, 20.0, 15.0, 1.0)
     north_rad = json.loads(plain.printed())["bearing"]
     clockwise_deg = float(emulated.printed().split(b", ")[1])

@@ -96,10 +96,10 @@ def test_whoever_stops_listening_ends_the_work_which_cleans_up(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_an_interrupt_tells_what_was_done_by_then(tmp_path: Path) -> None:
-    told: list[int] = []
+    finished: list[int] = []
 
     def interrupt() -> None:
-        while not told:
+        while not finished:
             time.sleep(0.02)
         time.sleep(0.5)
         os.kill(os.getpid(), signal.SIGINT)
@@ -107,8 +107,8 @@ def test_an_interrupt_tells_what_was_done_by_then(tmp_path: Path) -> None:
     threading.Thread(target=interrupt, daemon=True).start()
     items = [(tmp_path, number) for number in range(4)]
     with pytest.raises(KeyboardInterrupt), open_pool(jobs=2) as pool:
-        told.extend(position for position, _ in pool.results(_noted, items))
-    assert told == [0]
+        finished.extend(position for position, _ in pool.results(_noted, items))
+    assert finished == [0]
 
 
 ORPHANS = """
@@ -147,7 +147,7 @@ def test_processes_end_with_the_one_that_gives_work(tmp_path: Path) -> None:
 
 @contextmanager
 def _server(greeting: bytes) -> Iterator[int]:
-    """Says something to the first caller and hangs up."""
+    """Serve a greeting to the first caller, and hang up."""
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:

@@ -26,7 +26,7 @@ ORIGIN = LocalOrigin(47.4, 8.5, 488.0)
 
 
 class Ridden:
-    """A radio on a vehicle that is told where it is."""
+    """A radio on a vehicle whose position is given."""
 
     def __init__(
         self,
@@ -42,16 +42,16 @@ class Ridden:
         self._vehicle = MavCodec(42, 1)
         self._station = MavCodec(255, 190)
         self._reader = MavCodec(0, 0)
-        self.tell(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3), 0.0)
+        self.send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3), 0.0)
 
-    def tell(self, message: Message, now_s: float, codec: MavCodec | None = None) -> None:
+    def send(self, message: Message, now_s: float, codec: MavCodec | None = None) -> None:
         data = (codec or self._vehicle).encode(message)
         self.radio.receive(Chunk(FOLLOW, data, PEER), now_s)
 
     def move(self, east: float, north: float, up: float, stamp_s: float) -> None:
         stamp_ms = round(1e3 * stamp_s)
         moved = mavlink.MAVLink_local_position_ned_message(stamp_ms, north, east, -up, 0, 0, 0)
-        self.tell(moved, stamp_s)
+        self.send(moved, stamp_s)
 
     def sent(self) -> list[Message]:
         chunks = self.radio.take_output()
@@ -94,7 +94,7 @@ def test_it_hears_nothing_from_the_ground_or_too_far_away() -> None:
 def test_the_ground_is_where_home_is() -> None:
     ridden = Ridden()
     home = mavlink.MAVLink_home_position_message(0, 0, 0, 0, 0, -100.0, [1, 0, 0, 0], 0, 0, 0)
-    ridden.tell(home, 0.5)
+    ridden.send(home, 0.5)
     ridden.move(50.0, 50.0, 101.0, 1.0)
     assert ridden.ranges() == []
     ridden.move(50.0, 50.0, 104.0, 2.0)
@@ -112,7 +112,7 @@ def test_an_array_feels_the_attitude_that_is_told() -> None:
     ridden = Ridden(payload=PayloadParams(antenna=AntennaModelParams(kind="planar")))
     ridden.radio.handle_timer(0.5)
     assert [m.param1 for m in ridden.asked()].count(mavlink.MAVLINK_MSG_ID_ATTITUDE) == 1
-    ridden.tell(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 0.4, 0, 0, 0), 0.9)
+    ridden.send(mavlink.MAVLink_attitude_message(900, 0.0, 0.0, 0.4, 0, 0, 0), 0.9)
     ridden.move(50.0, 20.0, 40.0, 1.0)
     (ranging,) = ridden.ranges()
     assert ranging.bearing == pytest.approx(-0.4)
@@ -139,7 +139,7 @@ def test_an_emitter_on_earth_waits_for_the_origin_and_asks_for_it() -> None:
         m.command for m in ridden.sent() if isinstance(m, mavlink.MAVLink_command_long_message)
     ]
     assert asked == [mavlink.MAV_CMD_REQUEST_MESSAGE]
-    ridden.tell(mavlink.MAVLink_gps_global_origin_message(474_000_000, 85_000_000, 488_000), 1.5)
+    ridden.send(mavlink.MAVLink_gps_global_origin_message(474_000_000, 85_000_000, 488_000), 1.5)
     ridden.move(0.0, 0.0, 20.0, 2.0)
     (ranging,) = ridden.ranges()
     assert ranging.range == pytest.approx(math.hypot(50.0, 20.0), abs=0.1)
@@ -165,8 +165,8 @@ def test_only_the_first_autopilot_counts() -> None:
     ridden = Ridden()
     stranger = MavCodec(7, 1)
     moved = mavlink.MAVLink_local_position_ned_message(1000, 0, 0, -20, 0, 0, 0)
-    ridden.tell(moved, 1.0, stranger)
-    ridden.tell(moved, 1.0, MavCodec(42, 191))
+    ridden.send(moved, 1.0, stranger)
+    ridden.send(moved, 1.0, MavCodec(42, 191))
     assert ridden.ranges() == []
     assert ridden.radio.is_following
 

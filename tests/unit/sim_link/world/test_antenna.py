@@ -1,4 +1,4 @@
-"""What antennas print: geometry without noise, and the law of the noise."""
+"""Output of antennas: geometry without noise, and the law of the noise."""
 
 from __future__ import annotations
 

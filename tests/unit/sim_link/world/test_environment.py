@@ -1,4 +1,4 @@
-"""What a path suffers in the open and in a shadow, by its statistics."""
+"""Errors of a path in the open and in a shadow, by their statistics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every part of a campaign, for as little as tells something: it measures, and finds nothing."""
+"""Every part of a campaign, as short as is useful: it measures, and finds nothing."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_iterated_long_enough_it_is_the_minimum_of_the_linearised_problem(
 
 
 def test_it_ends_where_the_influences_balance_the_prior() -> None:
-    """P^-1 d = H^T psi(v) / c is what the minimum is told by."""
+    """P^-1 d = H^T psi(v) / c is the condition of the minimum."""
     thresholds = THRESHOLDS["asymmetric"]
     for seed in range(20):
         P, H, y, c = _problem(np.random.default_rng(seed), 4)

@@ -1,4 +1,4 @@
-"""Flights in the field: what moves between seeds, what is flown, and what a flight tells."""
+"""Flights in the field: values drawn by the seed, the flights, and their results."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ FLIGHTS, SEED = 60, 4711
 
 
 def error_of(trials: Sequence[Trial]) -> tuple[float, float]:
-    """By how much more is heard than stated, and the standard error by flights."""
+    """Return the mean of heard minus stated, and its standard error by flights."""
     errors = np.array([each.is_heard - each.pod for each in trials]).reshape(-1, EMITTERS)
     by_flight = errors.mean(axis=1)
     return float(by_flight.mean()), float(by_flight.std() / np.sqrt(len(by_flight)))

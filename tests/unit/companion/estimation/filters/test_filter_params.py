@@ -1,4 +1,4 @@
-"""What a filter believes, and the form in which its kernels take it."""
+"""Parameters of a filter, and the form in which its kernels take them."""
 
 from __future__ import annotations
 

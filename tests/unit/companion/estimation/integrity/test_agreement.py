@@ -1,4 +1,4 @@
-"""When next to nothing agrees with the estimate any more, and when it does again."""
+"""Detection of almost no agreement with the estimate, and of its return."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a confident estimate is given up: forty contradictions of one kind in a row."""
+"""A confident estimate is given up after forty contradictions of one kind in a row."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def rows_of(
 def watched(
     watch: MotionWatch, rows: Matrix, mean: Vector | None = None, r95_m: float = 2.0
 ) -> list[TargetMotion | None]:
-    """What is seen while the rows come in, look by look."""
+    """Return the motion found after each look while the rows come in."""
     seen = []
     for row in rows:
         watch.fresh.append(row)

@@ -1,4 +1,4 @@
-"""What is held against an estimate, and what is told of it."""
+"""Evidence against an estimate, and its announcement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run's innovations show of its noise, modality by modality."""
+"""Noise of a run by its innovations, modality by modality."""
 
 from __future__ import annotations
 

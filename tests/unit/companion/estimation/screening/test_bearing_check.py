@@ -1,4 +1,4 @@
-"""Bearings in degrees, or divided, are told by their scatter; honest ones never are."""
+"""Bearings in degrees, or divided, are detected by their scatter; honest ones never are."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def test_bearings_in_radians_are_never_condemned(seed: int) -> None:
 @pytest.mark.parametrize("factor", [0.001, 0.01, 1.0 / 57.3])
 def test_divided_they_stand_still(factor: float) -> None:
     check = BearingCheck()
-    told_s = _condemned_s(_history(check), _samples(5.0, 1), factor)
-    assert told_s is not None
-    assert told_s <= 2.5
+    condemned_s = _condemned_s(_history(check), _samples(5.0, 1), factor)
+    assert condemned_s is not None
+    assert condemned_s <= 2.5
     assert check.is_quiet
 
 

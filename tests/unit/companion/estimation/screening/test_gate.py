@@ -1,4 +1,4 @@
-"""What the gate keeps out: too short, or pointing elsewhere; never what reflections do."""
+"""The gate refuses short ranges and false bearings, but no effect of reflections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What of a measurement may be used before any estimate has a say."""
+"""The usable part of a measurement before any estimate is involved."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Radio:
         )
 
     def judged(self, seen: RangingMeasurement) -> tuple[bool, bool, RejectReason | None]:
-        """Whether range and bearing may be used, and why not both."""
+        """Return the usability of range and bearing, and the reason if one is refused."""
         judgement = self.screen.judge(seen, self.position, self.now_s)
         self.step += 1
         passed = judgement.passed
@@ -89,15 +89,15 @@ def test_what_is_frozen_is_as_good_as_none(frozen: str) -> None:
 def test_steps_that_the_radio_is_known_for_repeat_themselves_until_two_were_flown(
     step_m: float,
 ) -> None:
-    told, untold = Radio(step_m), Radio()
-    for radio in (told, untold):
+    configured, unconfigured = Radio(step_m), Radio()
+    for radio in (configured, unconfigured):
         reasons = [
             radio.judged(RangingMeasurement(1, radio.now_s, range_m=1.5 * step_m))[2]
             for _ in range(600)
         ]
         refused_m = 0.5 * next(i for i, reason in enumerate(reasons) if reason is not None)
         assert reasons[-1] is RejectReason.FROZEN
-        assert refused_m == pytest.approx(2.0 * step_m if radio is told else 5.0, abs=0.6)
+        assert refused_m == pytest.approx(2.0 * step_m if radio is configured else 5.0, abs=0.6)
         assert radio.screen.objection is None
 
 

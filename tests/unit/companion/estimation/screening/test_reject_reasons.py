@@ -1,4 +1,4 @@
-"""Which measurements are refused, and that they leave no trace."""
+"""Measurements that are refused, and leave no trace."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _tracker() -> TargetTracker:
 
 
 def _snapshot(tracker: TargetTracker) -> list[object]:
-    """All that a measurement could have changed, bit by bit."""
+    """Return all state that a measurement could have changed, bit by bit."""
     return [
         *[
             (h.log_weight, h.state.time_s, h.state.mean.tobytes(), h.state.covariance.tobytes())

@@ -1,4 +1,4 @@
-"""Ranges in a wrong unit are told by own motion; honest ones never are."""
+"""Ranges in a wrong unit are detected by own motion; honest ones never are."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _samples(
 
 
 def _condemned_s(history: SampleHistory, samples: list[Sample], factor: float) -> float | None:
-    """When ranges times a factor are condemned; what is absurd never gets here."""
+    """Return the time when ranges times a factor are condemned; absurd ones are refused before."""
     for sample in samples:
         if factor * sample.value <= MAX_RANGE_M:
             history.add(sample._replace(value=factor * sample.value))
@@ -88,9 +88,9 @@ def test_a_larger_unit_is_told_within_two_seconds_of_motion(
     factor: float, track: Track, radio: Radio, height_m: float
 ) -> None:
     for seed in range(3):
-        told_s = _condemned_s(_history(), _samples(radio, track, height_m, 3.0, seed), factor)
-        assert told_s is not None
-        assert told_s <= 2.0
+        condemned_s = _condemned_s(_history(), _samples(radio, track, height_m, 3.0, seed), factor)
+        assert condemned_s is not None
+        assert condemned_s <= 2.0
 
 
 def test_above_what_the_offset_allows_hovering_is_enough() -> None:
@@ -107,9 +107,9 @@ def test_a_smaller_unit_scatters_or_runs_away(radio: Radio) -> None:
     """Nearer than 35 m even 57.3 times the range is not absurd."""
     flown = [s for s in _samples(radio, "radial", 10.0, 12.0, 2) if s[1] < 34.0]
     began_s = flown[0][0]
-    told_s = _condemned_s(_history(), flown, 57.3)
-    assert told_s is not None
-    assert told_s - began_s <= 3.0
+    condemned_s = _condemned_s(_history(), flown, 57.3)
+    assert condemned_s is not None
+    assert condemned_s - began_s <= 3.0
 
 
 @pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
@@ -122,7 +122,7 @@ def test_metres_are_never_condemned(track: Track, radio: Radio, height_m: float)
 
 
 def _in_steps(radio: Radio, track: Track, step_m: float, seed: int) -> list[Sample]:
-    """What a cell makes of it, twice a second."""
+    """Return samples in the steps of a cell, twice a second."""
     samples = _samples(radio, track, 20.0, 60.0, seed)[::5]
     return [sample._replace(value=(sample.value // step_m + 0.5) * step_m) for sample in samples]
 
@@ -130,11 +130,11 @@ def _in_steps(radio: Radio, track: Track, step_m: float, seed: int) -> list[Samp
 @pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
 @pytest.mark.parametrize("step_m", [39.04, 78.07])
 def test_metres_in_steps_that_were_told_are_never_condemned(track: Track, step_m: float) -> None:
-    told = FilterParams(range_step_m=step_m, range_offset_sigma_m=0.6 * step_m)
+    configured = FilterParams(range_step_m=step_m, range_offset_sigma_m=0.6 * step_m)
     for seed in range(5):
         for radio in (CELL, NOISELESS):
             steps = _in_steps(radio, track, step_m, seed)
-            assert _condemned_s(_history(told), steps, 1.0) is None
+            assert _condemned_s(_history(configured), steps, 1.0) is None
 
 
 def test_ranges_that_flicker_by_two_steps_are_wild_only_where_nobody_told_of_steps() -> None:
@@ -163,9 +163,9 @@ def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
         sample._replace(value=min(sample.value, 30.0 + sample.value / 10.0))
         for sample in samples[third : 2 * third]
     ]
-    told_s = _condemned_s(history, near, factor)
-    assert told_s is not None
-    assert told_s - near[0].time_s <= 3.0
+    condemned_s = _condemned_s(history, near, factor)
+    assert condemned_s is not None
+    assert condemned_s - near[0].time_s <= 3.0
     for sample in samples[2 * third :]:
         history.add(sample)
     assert not history.check.is_rejected

@@ -1,4 +1,4 @@
-"""Which antenna measured the bearings, found from flights across an emitter, 20 m above it."""
+"""The kind of antenna behind bearings, found from flights across an emitter, 20 m above it."""
 
 from __future__ import annotations
 
@@ -234,9 +234,9 @@ def test_a_told_antenna_is_contradicted_by_most_directions_for_long() -> None:
     assert not watch.is_contradicted
 
 
-@pytest.mark.parametrize("told", [seen(100.0, 1.0, -1.0), seen(6.0, count=39)])
-def test_gross_errors_of_some_and_few_directions_contradict_no_antenna(told: Scores) -> None:
+@pytest.mark.parametrize("motion", [seen(100.0, 1.0, -1.0), seen(6.0, count=39)])
+def test_gross_errors_of_some_and_few_directions_contradict_no_antenna(motion: Scores) -> None:
     watch = ConfiguredAntennaCheck()
     for time_s in (0.0, 20.0, 40.0):
-        watch.look(told, time_s)
+        watch.look(motion, time_s)
     assert not watch.is_contradicted

@@ -1,4 +1,4 @@
-"""What solving the window now and then does to the hypotheses."""
+"""Effect on the hypotheses of solving the window now and then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much more probable one optimum is than another."""
+"""Probabilities of optima against each other."""
 
 from __future__ import annotations
 

@@ -219,7 +219,7 @@ def test_under_reflections_it_holds_at_least_what_it_says(share: float) -> None:
     [pytest.param(0.5, marks=pytest.mark.slow), 0.8, pytest.param(0.95, marks=pytest.mark.slow)],
 )
 def test_with_repeating_noise_it_nearly_holds_what_it_says(rho: float) -> None:
-    """Of 120 residuals that repeat each other little is left to tell how much they do."""
+    """Of 120 residuals that repeat each other little is left to estimate how much they do."""
     assert _coverage(params(), {"rho": rho}, is_white=False) >= 0.90
     assert _coverage(params(), {"rho": rho, "bearings": False}, is_white=False) >= 0.84
 

@@ -46,7 +46,7 @@ def test_white_errors_are_a_vote_each() -> None:
 
 @pytest.mark.parametrize("length_m", [2.0, 6.0])
 def test_votes_are_those_of_the_field_that_was_drawn(length_m: float) -> None:
-    """2 l over the spacing of the measurements, or more: a walk tells little of a longer reach."""
+    """2 l over the spacing of the measurements, or more: a walk says little of a longer reach."""
     unknown = SpatialPrior(1.0, 4.0, is_of_radio=False)
     drawn = [field(np.random.default_rng(s), length_m) for s in range(20)]
     found = [repetition(psi - psi.mean(), unknown) for psi in drawn]
@@ -88,11 +88,11 @@ def test_who_hovers_gets_nowhere() -> None:
 def test_votes_decide_between_the_data_and_what_is_known_of_the_offset() -> None:
     """Ranges from a few positions do not outvote the prior of the offset, however many they are."""
     rows = walk(np.random.default_rng(3), 400, bearings=False)
-    told = params(range_offset_m=1.0, range_offset_sigma_m=0.3)
+    configured = params(range_offset_m=1.0, range_offset_sigma_m=0.3)
     correlated = params(range_offset_m=1.0, range_offset_sigma_m=0.3, place_range_sigma_m=1.0)
     alone_m, voted_m = (
         float(WindowMap(believed).optima(rows, [START])[0].mean[2])
-        for believed in (told, correlated)
+        for believed in (configured, correlated)
     )
     assert alone_m > 1.8
     assert voted_m < alone_m - 0.1
@@ -141,7 +141,7 @@ def test_bearings_are_fused_where_only_ranges_are_known_to_keep_errors_in_places
 
 
 def claims(path: str, length_m: float, seeds: range) -> list[TargetClaims]:
-    """What is claimed on invented walks."""
+    """Return the claims on invented walks."""
     case = CorrelatedCase(path, length_m)  # type: ignore[arg-type]
     return [replayed(path, rows, WIFI) for rows in walks_of(case, seeds)]
 

@@ -16,7 +16,7 @@ FOREIGN = Finding(Verdict.YIELD, Reason.CHECKING, "a test wants it")
 
 
 def flying(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
-    """In the air and in control."""
+    """Return a flight in the air and in control."""
     flight = ScriptedFlight(autopilot=autopilot)
     flight.report_landed(LandedState.IN_AIR)
     return flight.in_control()

@@ -1,4 +1,4 @@
-"""Who flies: first foreign frames, flaps, late frames and grants."""
+"""Authority: first foreign frames, flaps, late frames and grants."""
 
 from __future__ import annotations
 

@@ -263,7 +263,7 @@ def test_an_unknown_autopilot_is_not_launched() -> None:
 
 
 def launching(autopilot: Autopilot = Autopilot.PX4) -> ScriptedFlight:
-    """Armed and climbing, as told by the autopilot."""
+    """Return a flight that is armed and climbing by the autopilot's reports."""
     flight = ScriptedFlight(AUTO, autopilot).on_the_ground()
     if autopilot is Autopilot.ARDUPILOT:
         flight.answer(RequestKind.SET_MODE)

@@ -153,11 +153,11 @@ class TestComparing:
         assert fencing.is_ready
         assert guards_fence(fencing) == SQUARE
 
-    @pytest.mark.parametrize("told", [NO_FENCE, SILENT])
-    def test_none_is_said_and_allowed_or_refused(self, told: AutopilotFenceRead) -> None:
+    @pytest.mark.parametrize("answer", [NO_FENCE, SILENT])
+    def test_none_is_said_and_allowed_or_refused(self, answer: AutopilotFenceRead) -> None:
         allowed, refused = local(FencePolicy.COMPARE), local(FencePolicy.REQUIRE)
         for fencing in (allowed, refused):
-            fencing.take(told)
+            fencing.take(answer)
         assert allowed.is_ready
         assert allowed.note is not None
         assert guards_fence(allowed) == SQUARE
@@ -196,13 +196,13 @@ class TestUsingTheAutopilots:
         assert fencing.words == "4 corners, 2 keep-outs, margin 3.9 m"
 
     @pytest.mark.parametrize(
-        ("told", "problem"),
+        ("answer", "problem"),
         [(NO_FENCE, "the autopilot has no fence to use"), (SILENT, "autopilot's fence: no answer")],
     )
-    def test_without_one_there_is_none(self, told: AutopilotFenceRead, problem: str) -> None:
+    def test_without_one_there_is_none(self, answer: AutopilotFenceRead, problem: str) -> None:
         fencing = Fencing(Guard(WITHOUT), FencePlan(WITHOUT, 3.0, policy=FencePolicy.USE))
         fencing.set_origin(ORIGIN)
-        fencing.take(told)
+        fencing.take(answer)
         assert problem in str(fencing.refusal)
         assert guards_fence(fencing) is None
 
@@ -286,7 +286,7 @@ FAR = ((60.0, 60.0), (75.0, 60.0), (75.0, 75.0), (60.0, 75.0))
 
 
 def flown(policy: FencePolicy, *first: tuple[Point, ...]) -> Fencing:
-    """In control with the fence that was read first."""
+    """Return the fencing of a flight in control with the fence that was read first."""
     fencing = local(policy)
     if policy is FencePolicy.USE:
         fencing = Fencing(Guard(WITHOUT), FencePlan(WITHOUT, 3.0, (), None, policy))

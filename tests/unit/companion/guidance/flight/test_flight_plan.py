@@ -1,4 +1,4 @@
-"""The planner in a session: searching, keep-outs, heights, and what the operator is told."""
+"""The planner in a session: searching, keep-outs, heights, and texts to the operator."""
 
 from __future__ import annotations
 

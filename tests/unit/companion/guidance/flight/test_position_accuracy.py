@@ -12,10 +12,12 @@ RECEIVER, ESTIMATOR = AccuracySource.RECEIVER, AccuracySource.ESTIMATOR
 MOVED = VehicleMoved(0.0, VehicleState(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
-def watch(*told: tuple[float, AccuracySource, float | None, float | None]) -> PositionAccuracyWatch:
+def watch(
+    *reports: tuple[float, AccuracySource, float | None, float | None],
+) -> PositionAccuracyWatch:
     accuracies = PositionAccuracyWatch()
     accuracies.handle(MOVED)
-    for each in told:
+    for each in reports:
         accuracies.handle(PositionAccuracyReported(*each))
     return accuracies
 
@@ -64,9 +66,9 @@ def test_a_receiver_that_falls_silent_is_not_believed_for_long(
     before_m: float, effective_m: float
 ) -> None:
     accuracies = watch((1.0, RECEIVER, before_m, 0.1))
-    told, counted = accuracies.accuracy(1.0 + MAX_AGE_S), accuracies.accuracy(1.1 + MAX_AGE_S)
-    assert told is not None
-    assert told.is_reported
+    reports, counted = accuracies.accuracy(1.0 + MAX_AGE_S), accuracies.accuracy(1.1 + MAX_AGE_S)
+    assert reports is not None
+    assert reports.is_reported
     assert counted is not None
     assert (counted.horizontal_m, counted.is_reported) == (effective_m, False)
 

@@ -27,7 +27,7 @@ class Line:
         self.now_s = 0.0
         self.intruder_hz = 0.0
         self.intruder_share = 1.0
-        """How much of a tick its setpoint stands before ours replaces it."""
+        """Share of a tick in which its setpoint stands before ours replaces it."""
         self.is_uplink_up = self.is_echo_up = True
         self.is_moving = True
         self.is_sending = True
@@ -77,7 +77,7 @@ class Line:
             self.watch.handle(SetpointEchoed(self.now_s, self._down.popleft()[1]))
 
     def _stands(self) -> bool:
-        """Whether an echo at any time in the tick would show the intruder's setpoint."""
+        """Return True if an echo at a random time in the tick shows the intruder's setpoint."""
         return self._rng.random() < self.intruder_share
 
     @property
@@ -85,7 +85,7 @@ class Line:
         return {finding.reason for _, finding in self.findings}
 
     def first(self, verdict: Verdict) -> float:
-        """When a verdict was reached first; infinite if it never was."""
+        """Return the time of the first verdict of a kind; infinite without one."""
         return min((at for at, f in self.findings if f.verdict is verdict), default=math.inf)
 
 

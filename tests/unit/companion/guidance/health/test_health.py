@@ -1,4 +1,4 @@
-"""What the autopilot says of its own health, and what follows."""
+"""The autopilot's reports of its own health, and their consequences."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def any_event(rng: random.Random, flight: ScriptedFlight) -> Event:
 
 
 def shown(watch: Watch) -> dict[str, str]:
-    """All that a watch knows, in words."""
+    """Return all fields of a watch as text."""
     return {name: repr(value) for name, value in vars(watch).items()}
 
 

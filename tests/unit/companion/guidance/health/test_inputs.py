@@ -18,7 +18,7 @@ from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 
 def seconds_until(flight: ScriptedFlight, phase: Phase, limit_s: float = 70.0) -> float:
-    """How long it takes to get into a phase."""
+    """Return the time, s, until a phase begins."""
     began_s = flight.now_s
     while flight.phase is not phase:
         assert flight.now_s - began_s < limit_s, flight.texts
@@ -27,7 +27,7 @@ def seconds_until(flight: ScriptedFlight, phase: Phase, limit_s: float = 70.0) -
 
 
 def speeds_mps(flight: ScriptedFlight) -> list[float]:
-    """How fast the setpoints moved, from tick to tick."""
+    """Return the speed of the setpoints from tick to tick."""
     sent = [(at_s, c.setpoint) for at_s, c in flight.log if isinstance(c, SendSetpoint)]
     return [
         math.dist(a.position_enu_m[:2], b.position_enu_m[:2]) / (t1 - t0)

@@ -1,4 +1,4 @@
-"""What counts as a jump of the vehicle's own navigation."""
+"""Detection of a jump of the vehicle's own navigation."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_told(
         push *= MAX_ACCELERATION_MPS2 * rng.random() / np.linalg.norm(push)
         position, speed = position + dt_s * (speed + 0.5 * dt_s * push), speed + dt_s * push
         if step % 20 == 0:
-            told = position + np.clip(noise_m * rng.normal(size=3), -0.14, 0.14)
+            reported = position + np.clip(noise_m * rng.normal(size=3), -0.14, 0.14)
             now = VehicleState(
                 step * dt_s,
-                (float(told[0]), float(told[1]), float(told[2])),
+                (float(reported[0]), float(reported[1]), float(reported[2])),
                 (float(speed[0]), float(speed[1]), float(speed[2])),
             )
             assert position_jump_m(last, now) is None
@@ -62,7 +62,7 @@ def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_told(
 
 
 def watched(noise_m: float, step_m: float = 0.0) -> list[Mapping[str, object]]:
-    """Jumps found in a minute of standing still, told 20 times a second; it jumps after half."""
+    """Return jumps found in a minute at rest, reported at 20 Hz, with a jump after half of it."""
     flight = ScriptedFlight().ready()
     flight.has_position = flight.has_ranging = False
     rng = np.random.default_rng(1)

@@ -15,7 +15,7 @@ RATE_S = 0.2
 
 
 def watch_of(reaction: StickReaction = "yield") -> StickWatch:
-    """In control since 10 s."""
+    """Return the watch of a flight in control since 10 s."""
     watch = StickWatch(reaction)
     watch.handle(SticksReported(9.9, REST))
     watch.begin(10.0)

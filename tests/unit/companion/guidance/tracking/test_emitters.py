@@ -36,7 +36,7 @@ def fused(queue: EmitterQueue, measurement: RangingMeasurement, now_s: float) ->
 
 
 class Heard:
-    """A queue, and a radio that hears what it is told to."""
+    """A queue, and a radio that measures the emitters of given ids."""
 
     def __init__(
         self, order: Order, listed: tuple[int, ...] = (), *, searches_on: bool = False

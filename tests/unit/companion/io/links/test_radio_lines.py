@@ -1,4 +1,4 @@
-"""Where a radio is: what its kind adds to an address, and what is refused."""
+"""Addresses of radios: the parts that a kind adds, and those that are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What signing remembers, against crashes, broken files and recorded frames."""
+"""Stored state of signing, against crashes, broken files and recorded frames."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def opened(folder: Path, key: SigningKey = KEY) -> tuple[Signing, SigningStore]:
 
 
 def frames(count: int, begin: int = NOW) -> list[bytes]:
-    """What the autopilot signs, from a timestamp on."""
+    """Return frames that the autopilot signs, from a timestamp on."""
     codec = MavCodec(1, 1, LinkSigning(Signing(KEY, begin - 1), 0))
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
     return [codec.encode(heartbeat) for _ in range(count)]

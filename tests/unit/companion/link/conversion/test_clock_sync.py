@@ -217,7 +217,9 @@ def test_a_line_with_long_ways_is_synchronised_too(way_s: float) -> None:
 
 def test_a_line_that_answers_late_or_no_more_is_late() -> None:
     line = Autopilot(constant(0.1, 0.1))
-    assert line.sync.lateness(line.now_s) is Lateness.NONE  # who never answers tells nothing
+    assert (
+        line.sync.lateness(line.now_s) is Lateness.NONE
+    )  # without an answer there is no sign of one
     line.run(5.0)
     assert line.sync.lateness(line.now_s) is Lateness.NONE
     line.delay = constant(0.1, 6.0)

@@ -1,4 +1,4 @@
-"""Which modes an ArduPilot offers: asked for until the list is whole, and again when it changes."""
+"""Modes that an ArduPilot offers, requested until the list is whole, and when it changes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def test_the_smallest_delay_seen_defines_the_offset() -> None:
         remote_s = 0.1 * step
         arrival_s = 40.0 + remote_s + 0.005 + rng.expovariate(1 / 0.05)
         reading = timebase.read(remote_s, arrival_s)
-    # Only the constant part of the delay cannot be told from the offset.
+    # Only the constant part of the delay cannot be separated from the offset.
     assert reading.time_s - (40.0 + remote_s) == pytest.approx(0.005, abs=0.01)
 
 
@@ -32,12 +32,12 @@ def test_a_delayed_stamp_is_dated_back_to_its_measurement() -> None:
 
 
 def restart(timebase: Timebase, boot_s: float, now_s: float) -> float:
-    """Stamps of a new clock at 20 Hz; how long it took until the restart was told."""
+    """Give stamps of a new clock at 20 Hz; return the time until the restart was detected."""
     for step in range(20):
         passed_s = 0.05 * step
         if timebase.read(boot_s + passed_s, now_s + passed_s).step is ClockStep.RESTART:
             return passed_s
-    raise AssertionError("no restart was told")
+    raise AssertionError("no restart was detected")
 
 
 def test_a_reboot_is_told_once_it_goes_on_and_starts_a_new_offset() -> None:

@@ -23,11 +23,11 @@ from companion.mav.payloads import TargetedTimesync
 
 RECORDED = Path(__file__).parents[4] / "data/clocks/arducopter_stopped.csv"
 UP_S = 100.0
-"""How long the autopilot was up when it was first heard."""
+"""Time since the autopilot's boot when it was first heard."""
 TICK_S = 0.05
 DELAY_S = 0.004
 ARDUPILOT_BACK_S = (0.005, 0.027)
-"""How far an ArduCopter 4.5 dated its answers back."""
+"""Time by which an ArduCopter 4.5 dated its answers back."""
 GOOD_S = 0.03
 """A reading that errs by less is good: a quarter of a metre at the fastest flight."""
 

@@ -51,11 +51,11 @@ class Client:
         self.plans = Plans(self.store, rules, StatusTexts(), fly_to)
         self.now_s = 0.0
 
-    def tell(self, message: Message, partner: Partner = STATION) -> list[Outgoing]:
+    def send(self, message: Message, partner: Partner = STATION) -> list[Outgoing]:
         return self.plans.handle(received(message, partner), partner, self.now_s)
 
     def wait(self, duration_s: float, step_s: float = 0.01) -> list[tuple[float, Outgoing]]:
-        """What comes meanwhile, with its time."""
+        """Let time pass; return the messages meanwhile, with their times."""
         heard = []
         end_s = self.now_s + duration_s
         while self.now_s < end_s - 1e-9:
@@ -66,7 +66,7 @@ class Client:
     def count(
         self, count: int, plan_type: int = MISSION, partner: Partner = STATION
     ) -> list[Outgoing]:
-        return self.tell(Count(1, 1, count, plan_type), partner)
+        return self.send(Count(1, 1, count, plan_type), partner)
 
     def item(
         self,
@@ -77,7 +77,7 @@ class Client:
         current: int = 0,
     ) -> list[Outgoing]:
         item = item or waypoint(seq)
-        return self.tell(item_of(item, seq, plan_type, current), partner)
+        return self.send(item_of(item, seq, plan_type, current), partner)
 
     def upload(
         self, items: list[PlanItem], plan_type: int = MISSION, partner: Partner = STATION
@@ -96,16 +96,16 @@ class Client:
         raise AssertionError("the upload does not end")
 
     def ask_list(self, plan_type: int = MISSION, partner: Partner = STATION) -> list[Outgoing]:
-        return self.tell(mavlink.MAVLink_mission_request_list_message(1, 1, plan_type), partner)
+        return self.send(mavlink.MAVLink_mission_request_list_message(1, 1, plan_type), partner)
 
     def ask(self, seq: int, plan_type: int = MISSION, partner: Partner = STATION) -> list[Outgoing]:
-        return self.tell(Request(1, 1, seq, plan_type), partner)
+        return self.send(Request(1, 1, seq, plan_type), partner)
 
     def end(self, result: int = 0, partner: Partner = STATION) -> None:
-        assert self.tell(Ack(1, 1, result, 0), partner) == []
+        assert self.send(Ack(1, 1, result, 0), partner) == []
 
     def download(self, plan_type: int = MISSION, partner: Partner = STATION) -> list[Item]:
-        """All items, and the ACK that a client owes."""
+        """Download and return all items, and send the ACK that a client owes."""
         (count,) = of_type(self.ask_list(plan_type, partner), Count)
         items = [
             item
@@ -139,5 +139,5 @@ def results(outgoing: list[Outgoing]) -> list[int]:
 
 
 def asked(outgoing: list[Outgoing]) -> list[int]:
-    """Which items the vehicle asks for, in either form."""
+    """Return the items that the vehicle requests, in either form."""
     return [request.seq for request in of_type(outgoing, Request) + of_type(outgoing, OldRequest)]

@@ -50,14 +50,14 @@ def command_of(message: Message, partner: Partner = STATION) -> Command:
 
 
 class Vehicle:
-    """Takes commands and answers each as told."""
+    """Vehicle that takes commands and answers each with a given result."""
 
     def __init__(self, forms: CommandForms | None = None) -> None:
         self.commands = Commands(forms or CommandForms())
         self.obeyed: list[Command | Cancel] = []
         self.now_s = 0.0
 
-    def tell(
+    def send(
         self,
         message: Message,
         result: int = CommandResult.ACCEPTED,
@@ -124,7 +124,7 @@ def test_set_mode_is_do_set_mode_in_each_autopilots_form() -> None:
 
 def test_other_messages_are_no_commands() -> None:
     vehicle = Vehicle()
-    assert vehicle.tell(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
+    assert vehicle.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
     assert vehicle.obeyed == []
 
 
@@ -132,7 +132,7 @@ def test_other_messages_are_no_commands() -> None:
 
 
 def test_every_command_is_answered_to_its_sender_where_it_came_from() -> None:
-    (outgoing,) = Vehicle().tell(long(ARM, 1.0), CommandResult.FAILED, COMPANION)
+    (outgoing,) = Vehicle().send(long(ARM, 1.0), CommandResult.FAILED, COMPANION)
     assert outgoing.to == COMPANION_CHANNEL
     (ack,) = of_type([outgoing], Ack)
     assert (ack.command, ack.result) == (ARM, CommandResult.FAILED)
@@ -141,12 +141,12 @@ def test_every_command_is_answered_to_its_sender_where_it_came_from() -> None:
 
 def test_the_result_numbers_beyond_the_dialects_enum_can_be_sent() -> None:
     result = CommandResult.UNSUPPORTED_MAV_FRAME
-    assert results(Vehicle().tell(int_(REPOSITION), result)) == [9]
+    assert results(Vehicle().send(int_(REPOSITION), result)) == [9]
 
 
 def test_a_command_that_has_only_the_other_form_is_unsupported() -> None:
     vehicle = Vehicle(CommandForms(frozenset({REPOSITION})))
-    assert results(vehicle.tell(long(REPOSITION))) == [CommandResult.UNSUPPORTED]
+    assert results(vehicle.send(long(REPOSITION))) == [CommandResult.UNSUPPORTED]
     assert vehicle.obeyed == []
 
 
@@ -155,15 +155,15 @@ def test_a_command_that_has_only_the_other_form_is_unsupported() -> None:
 
 def test_a_repeated_command_gets_its_ack_again_and_is_obeyed_once() -> None:
     vehicle = Vehicle()
-    answers = [vehicle.tell(long(ARM, 1.0, confirmation=n)) for n in range(3)]
+    answers = [vehicle.send(long(ARM, 1.0, confirmation=n)) for n in range(3)]
     assert [results(each) for each in answers] == [[CommandResult.ACCEPTED]] * 3
     assert len(vehicle.obeyed) == 1
 
 
 def test_a_refused_command_is_tried_again() -> None:
     vehicle = Vehicle()
-    vehicle.tell(long(ARM, 1.0), CommandResult.TEMPORARILY_REJECTED)
-    assert results(vehicle.tell(long(ARM, 1.0, confirmation=1))) == [CommandResult.ACCEPTED]
+    vehicle.send(long(ARM, 1.0), CommandResult.TEMPORARILY_REJECTED)
+    assert results(vehicle.send(long(ARM, 1.0, confirmation=1))) == [CommandResult.ACCEPTED]
     assert len(vehicle.obeyed) == 2
 
 
@@ -181,31 +181,31 @@ def test_what_is_not_a_repetition_is_obeyed(
     again: Message, partner: Partner, pause_s: float
 ) -> None:
     vehicle = Vehicle()
-    vehicle.tell(long(ARM, 1.0))
+    vehicle.send(long(ARM, 1.0))
     vehicle.now_s += pause_s
-    vehicle.tell(again, partner=partner)
+    vehicle.send(again, partner=partner)
     assert len(vehicle.obeyed) == 2
 
 
 def test_who_repeats_a_request_for_a_message_gets_the_message_again() -> None:
     vehicle = Vehicle()
     for confirmation in range(3):
-        vehicle.tell(long(REQUEST, 148.0, confirmation=confirmation))
+        vehicle.send(long(REQUEST, 148.0, confirmation=confirmation))
     assert len(vehicle.obeyed) == 3
 
 
 def test_command_int_has_no_confirmation_and_is_obeyed_each_time() -> None:
     vehicle = Vehicle()
     for _ in range(2):
-        vehicle.tell(int_(REPOSITION))
+        vehicle.send(int_(REPOSITION))
     assert len(vehicle.obeyed) == 2
 
 
 def test_what_is_remembered_is_bounded() -> None:
     vehicle = Vehicle()
     for system in range(2, 202):
-        vehicle.tell(long(ARM, 1.0), partner=Partner(STATION_CHANNEL, system, 1))
-    vehicle.tell(long(ARM, 1.0, confirmation=1), partner=Partner(STATION_CHANNEL, 2, 1))
+        vehicle.send(long(ARM, 1.0), partner=Partner(STATION_CHANNEL, system, 1))
+    vehicle.send(long(ARM, 1.0, confirmation=1), partner=Partner(STATION_CHANNEL, 2, 1))
     assert len(vehicle.obeyed) == 201
 
 
@@ -215,12 +215,12 @@ def test_what_is_remembered_is_bounded() -> None:
 @pytest.fixture
 def calibrating() -> Vehicle:
     vehicle = Vehicle()
-    assert results(vehicle.tell(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS)) == [5]
+    assert results(vehicle.send(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS)) == [5]
     return vehicle
 
 
 def test_progress_is_unknown_until_it_is_reported(calibrating: Vehicle) -> None:
-    (ack,) = of_type(Vehicle().tell(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS), Ack)
+    (ack,) = of_type(Vehicle().send(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS), Ack)
     assert ack.progress == 255
     (report,) = of_type(calibrating.commands.report(CALIBRATE, 40, 1.0), Ack)
     assert (report.result, report.progress) == (CommandResult.IN_PROGRESS, 40)
@@ -238,23 +238,23 @@ def test_it_ends_with_a_last_result_for_whoever_gave_it(calibrating: Vehicle) ->
 def test_the_same_command_meanwhile_is_temporarily_rejected(
     calibrating: Vehicle, partner: Partner
 ) -> None:
-    answer = calibrating.tell(long(CALIBRATE, 1.0), partner=partner)
+    answer = calibrating.send(long(CALIBRATE, 1.0), partner=partner)
     assert results(answer) == [CommandResult.TEMPORARILY_REJECTED]
     assert len(calibrating.obeyed) == 1
 
 
 def test_a_repetition_meanwhile_is_told_the_progress(calibrating: Vehicle) -> None:
     calibrating.commands.report(CALIBRATE, 40, 0.5)
-    (ack,) = of_type(calibrating.tell(long(CALIBRATE, 1.0, confirmation=1)), Ack)
+    (ack,) = of_type(calibrating.send(long(CALIBRATE, 1.0, confirmation=1)), Ack)
     assert (ack.result, ack.progress) == (CommandResult.IN_PROGRESS, 40)
 
 
 def test_another_command_meanwhile_is_obeyed(calibrating: Vehicle) -> None:
-    assert results(calibrating.tell(long(ARM, 1.0))) == [CommandResult.ACCEPTED]
+    assert results(calibrating.send(long(ARM, 1.0))) == [CommandResult.ACCEPTED]
 
 
 def test_a_cancelled_command_ends_with_cancelled_to_whoever_gave_it(calibrating: Vehicle) -> None:
-    (outgoing,) = calibrating.tell(
+    (outgoing,) = calibrating.send(
         MAVLink_command_cancel_message(1, 1, CALIBRATE), partner=COMPANION
     )
     assert results([outgoing]) == [CommandResult.CANCELLED]
@@ -263,7 +263,7 @@ def test_a_cancelled_command_ends_with_cancelled_to_whoever_gave_it(calibrating:
 
 def test_cancelling_what_is_not_under_way_is_ignored() -> None:
     vehicle = Vehicle()
-    assert vehicle.tell(MAVLink_command_cancel_message(1, 1, CALIBRATE)) == []
+    assert vehicle.send(MAVLink_command_cancel_message(1, 1, CALIBRATE)) == []
     assert vehicle.obeyed == []
 
 
@@ -273,7 +273,7 @@ def test_nothing_is_reported_of_what_is_not_under_way() -> None:
 
 def test_who_had_it_done_before_is_told_that_another_has_it_under_way() -> None:
     vehicle = Vehicle()
-    vehicle.tell(long(CALIBRATE, 1.0), partner=COMPANION)
-    vehicle.tell(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS, STATION)
-    answer = vehicle.tell(long(CALIBRATE, 1.0, confirmation=1), partner=COMPANION)
+    vehicle.send(long(CALIBRATE, 1.0), partner=COMPANION)
+    vehicle.send(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS, STATION)
+    answer = vehicle.send(long(CALIBRATE, 1.0, confirmation=1), partner=COMPANION)
     assert results(answer) == [CommandResult.TEMPORARILY_REJECTED]

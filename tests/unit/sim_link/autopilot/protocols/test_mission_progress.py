@@ -15,9 +15,9 @@ ACTIVE = MissionProgress(2, 5, MissionState.ACTIVE, is_in_mission_mode=True)
 
 
 def current(progress: MissionProgress) -> mavlink.MAVLink_mission_current_message:
-    told = MissionAnnouncer().changed(progress)
-    assert told is not None
-    message = said(told)
+    change = MissionAnnouncer().changed(progress)
+    assert change is not None
+    message = said(change)
     assert isinstance(message, mavlink.MAVLink_mission_current_message)
     return message
 

@@ -80,7 +80,7 @@ def set_whole(name: str, value: int, kind: int = INT32) -> Message:
 
 
 def everything(parameters: Parameters, until_s: float = 10.0) -> list[Outgoing]:
-    """What running lists send, called every 20 ms."""
+    """Return the messages of running lists, called every 20 ms."""
     outgoing: list[Outgoing] = []
     for tick in range(round(until_s / 0.02)):
         outgoing += parameters.handle_timer(0.02 * tick)
@@ -277,8 +277,8 @@ def test_setting_never_creates_a_parameter(rules: ParameterProfile) -> None:
 def test_the_vehicle_changes_what_is_read_only() -> None:
     parameters = px4()
     parameters.store.set("FLOWN", 12)
-    (told,) = of_type(ask(parameters, read("FLOWN")), Value)
-    assert raw_of(told) == struct.pack("<i", 12)
+    (value,) = of_type(ask(parameters, read("FLOWN")), Value)
+    assert raw_of(value) == struct.pack("<i", 12)
 
 
 def test_a_change_is_told_to_everyone() -> None:

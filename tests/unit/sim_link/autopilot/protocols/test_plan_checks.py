@@ -31,8 +31,8 @@ JUMP = mavlink.MAV_CMD_DO_JUMP
 VERTEX, HOLE, CIRCLE = 5001, 5002, 5003
 
 
-def vertices(count: int, told: float, command: int = VERTEX) -> list[PlanItem]:
-    return [waypoint(n, command=command, params=(told, 0.0, 0.0, 0.0)) for n in range(count)]
+def vertices(count: int, stated: float, command: int = VERTEX) -> list[PlanItem]:
+    return [waypoint(n, command=command, params=(stated, 0.0, 0.0, 0.0)) for n in range(count)]
 
 
 @BOTH
@@ -159,9 +159,9 @@ def test_a_jump_beyond_the_mission_makes_no_plan() -> None:
         assert plan_problem(items, MISSION) is problem
 
 
-@pytest.mark.parametrize("told", [2.0, 0.0, -3.0, 3.5, NAN])
-def test_a_polygon_has_at_least_three_vertices(told: float) -> None:
-    (item,) = vertices(1, told)
+@pytest.mark.parametrize("stated", [2.0, 0.0, -3.0, 3.5, NAN])
+def test_a_polygon_has_at_least_three_vertices(stated: float) -> None:
+    (item,) = vertices(1, stated)
     assert PX4.problem_with(item, FENCE) is PlanResult.INVALID_PARAM1
 
 

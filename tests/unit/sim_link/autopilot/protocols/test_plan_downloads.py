@@ -93,7 +93,7 @@ def test_a_request_in_the_old_form_is_answered_with_an_int_item(rules: PlanRules
     client = Client(rules)
     client.upload(waypoints(2))
     client.ask_list()
-    (item,) = of_type(client.tell(OldRequest(1, 1, 1, MISSION)), Item)
+    (item,) = of_type(client.send(OldRequest(1, 1, 1, MISSION)), Item)
     assert item.seq == 1
 
 
@@ -206,7 +206,7 @@ def test_clearing_one_plan_leaves_the_others(rules: PlanRules) -> None:
     client.upload([waypoint(command=mavlink.MAV_CMD_NAV_RALLY_POINT)], RALLY)
     client.store.take_events()
     clear = mavlink.MAVLink_mission_clear_all_message(1, 1, MISSION)
-    assert results(client.tell(clear)) == [PlanResult.ACCEPTED]
+    assert results(client.send(clear)) == [PlanResult.ACCEPTED]
     assert client.store.items(MISSION) == ()
     assert len(client.store.items(RALLY)) == 1
     assert client.store.take_events() == [PlanChanged(MISSION)]
@@ -215,14 +215,14 @@ def test_clearing_one_plan_leaves_the_others(rules: PlanRules) -> None:
 def test_type_255_clears_everything() -> None:
     client = px4(2)
     client.upload([waypoint(command=mavlink.MAV_CMD_NAV_RALLY_POINT)], RALLY)
-    outgoing = client.tell(mavlink.MAVLink_mission_clear_all_message(1, 1, 255))
+    outgoing = client.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 255))
     assert results(outgoing) == [PlanResult.ACCEPTED]
     assert [client.store.items(kind) for kind in (MISSION, FENCE, RALLY)] == [(), (), ()]
 
 
 def test_an_unknown_type_clears_nothing() -> None:
     client = px4(2)
-    outgoing = client.tell(mavlink.MAVLink_mission_clear_all_message(1, 1, 9))
+    outgoing = client.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 9))
     assert results(outgoing) == [PlanResult.UNSUPPORTED]
     assert len(client.store.items(MISSION)) == 2
 
@@ -233,14 +233,14 @@ def test_an_unknown_type_clears_nothing() -> None:
 def test_an_item_is_chosen_and_the_vehicle_told() -> None:
     client = px4(3)
     client.store.take_events()
-    assert client.tell(mavlink.MAVLink_mission_set_current_message(1, 1, 2)) == []
+    assert client.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2)) == []
     assert client.store.current == 2
     assert client.store.take_events() == [CurrentChosen(2)]
 
 
 def test_an_item_that_does_not_exist_is_not_chosen_and_a_text_says_so() -> None:
     client = px4(3)
-    outgoing = client.tell(mavlink.MAVLink_mission_set_current_message(1, 1, 3))
+    outgoing = client.send(mavlink.MAVLink_mission_set_current_message(1, 1, 3))
     assert "no mission item 3" in of_type(outgoing, Text)[0].text
     assert client.store.current == 0
 
@@ -257,7 +257,7 @@ def test_an_item_that_does_not_exist_is_not_chosen_and_a_text_says_so() -> None:
 )
 @BOTH
 def test_partial_lists_are_unsupported(rules: PlanRules, message: mavlink.MAVLink_message) -> None:
-    assert results(Client(rules).tell(message)) == [PlanResult.UNSUPPORTED]
+    assert results(Client(rules).send(message)) == [PlanResult.UNSUPPORTED]
 
 
 def test_an_item_to_fly_to_at_once_goes_to_the_vehicle() -> None:
@@ -268,10 +268,10 @@ def test_an_item_to_fly_to_at_once_goes_to_the_vehicle() -> None:
         return PlanResult.ACCEPTED
 
     client = Client(ARDUPILOT_RULES, fly_to=fly_to)
-    outgoing = client.tell(item_of(waypoint(4), 0, current=2))
+    outgoing = client.send(item_of(waypoint(4), 0, current=2))
     assert results(outgoing) == [PlanResult.ACCEPTED]
     assert flown == [waypoint(4)]
-    bad = client.tell(item_of(waypoint(4, z=NAN), 0, current=2))
+    bad = client.send(item_of(waypoint(4, z=NAN), 0, current=2))
     assert (results(bad), len(flown)) == ([PlanResult.INVALID_PARAM7], 1)
 
 

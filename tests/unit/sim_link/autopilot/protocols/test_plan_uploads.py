@@ -104,7 +104,7 @@ def test_the_old_float_items_are_understood() -> None:
     old = mavlink.MAVLink_mission_item_message(
         1, 1, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, NAN, 47.5, 8.25, 20.0, MISSION
     )
-    assert results(client.tell(old)) == [PlanResult.ACCEPTED]
+    assert results(client.send(old)) == [PlanResult.ACCEPTED]
     (item,) = client.store.items(MISSION)
     assert (item.x, item.y, item.z) == (475_000_000, 82_500_000, 20.0)
 
@@ -118,7 +118,7 @@ def test_old_float_coordinates_beyond_an_integer_are_refused(
     old = mavlink.MAVLink_mission_item_message(
         1, 1, 0, 3, 16, 0, 1, 0.0, 0.0, 0.0, 0.0, x, y, 20.0, MISSION
     )
-    assert results(client.tell(old)) == [result]
+    assert results(client.send(old)) == [result]
 
 
 def test_a_mission_begins_with_the_item_marked_current() -> None:
@@ -386,14 +386,14 @@ def vertex_of_four() -> list[PlanItem]:
 
 def test_messages_of_other_protocols_get_no_answer() -> None:
     client = px4()
-    assert client.tell(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
+    assert client.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
 
 
 def test_the_wire_form_of_an_item_is_what_is_stored() -> None:
     client = px4()
     item = waypoint(1, params=(1.5, 2.5, NAN, NAN))
     client.count(1)
-    client.tell(item_of(item, 0))
+    client.send(item_of(item, 0))
     (stored,) = client.store.items(MISSION)
     assert stored.params[:2] == (1.5, 2.5)
     assert all(math.isnan(param) for param in stored.params[2:])

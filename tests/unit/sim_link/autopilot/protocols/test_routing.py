@@ -1,4 +1,4 @@
-"""Who gets what of what others say (MAVLink developer guide, "Routing")."""
+"""Destinations of forwarded messages (MAVLink developer guide, "Routing")."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Net:
         for channel in present or tuple(IDS):
             self.router.route(frame_of(heartbeat(), channel), channel)
 
-    def tell(self, message: Message, channel: Channel) -> list[Chunk]:
+    def send(self, message: Message, channel: Channel) -> list[Chunk]:
         return self.router.route(frame_of(message, channel), channel)
 
 
@@ -50,7 +50,7 @@ def destinations(chunks: list[Chunk]) -> set[tuple[int, object, object]]:
 
 
 def test_a_broadcast_goes_to_every_other_channel_and_not_back() -> None:
-    assert destinations(Net().tell(heartbeat(), COMPANION)) == {
+    assert destinations(Net().send(heartbeat(), COMPANION)) == {
         (UDP, None, COMPANION.peer),
         (TCP, None, None),
         (SERIAL, None, None),
@@ -58,49 +58,49 @@ def test_a_broadcast_goes_to_every_other_channel_and_not_back() -> None:
 
 
 def test_what_comes_by_a_link_with_one_end_does_not_go_back_to_it() -> None:
-    assert destinations(Net().tell(heartbeat(), RADIO)) == {(UDP, None, None), (TCP, None, None)}
+    assert destinations(Net().send(heartbeat(), RADIO)) == {(UDP, None, None), (TCP, None, None)}
 
 
 def test_an_addressed_frame_goes_only_where_its_target_was_heard() -> None:
-    (chunk,) = Net().tell(command(1, 191), TABLET)
+    (chunk,) = Net().send(command(1, 191), TABLET)
     assert (chunk.link, chunk.peer) == (COMPANION.link, COMPANION.peer)
 
 
 def test_the_answer_finds_its_way_back() -> None:
     ack = mavlink.MAVLink_command_ack_message(92, 0, 0, 0, 254, 190)
-    (chunk,) = Net().tell(ack, COMPANION)
+    (chunk,) = Net().send(ack, COMPANION)
     assert (chunk.link, chunk.peer) == (TABLET.link, TABLET.peer)
 
 
 @pytest.mark.parametrize("component", [1, 154])
 def test_what_is_for_the_vehicle_stays_with_it(component: int) -> None:
-    assert Net().tell(command(1, component), STATION) == []
+    assert Net().send(command(1, component), STATION) == []
 
 
 def test_what_is_for_the_whole_system_also_goes_to_its_other_components() -> None:
-    (chunk,) = Net().tell(command(1, 0), STATION)
+    (chunk,) = Net().send(command(1, 0), STATION)
     assert chunk.peer == COMPANION.peer
 
 
 def test_component_zero_is_every_component_of_a_system() -> None:
-    (chunk,) = Net().tell(command(255, 0), COMPANION)
+    (chunk,) = Net().send(command(255, 0), COMPANION)
     assert chunk.peer == STATION.peer
 
 
 @pytest.mark.parametrize("target", [(77, 1), (1, 100), (255, 1)])
 def test_who_was_never_heard_gets_nothing(target: tuple[int, int]) -> None:
-    assert Net().tell(command(*target), STATION) == []
+    assert Net().send(command(*target), STATION) == []
 
 
 def test_who_was_heard_on_two_channels_is_reached_on_both() -> None:
     net = Net()
     net.router.route(frame_of(heartbeat(), STATION), RADIO)
-    chunks = net.tell(command(255, 190), COMPANION)
+    chunks = net.send(command(255, 190), COMPANION)
     assert destinations(chunks) == {(UDP, STATION.peer, None), (SERIAL, None, None)}
 
 
 def test_what_a_peer_sends_to_itself_never_comes_back() -> None:
-    assert Net().tell(command(255, 190), STATION) == []
+    assert Net().send(command(255, 190), STATION) == []
 
 
 # Unaltered, decoded or not
@@ -133,13 +133,13 @@ def test_mavlink_1_is_routed_too() -> None:
 def test_a_key_is_never_passed_on() -> None:
     for target in ((0, 0), (1, 191)):
         setup = mavlink.MAVLink_setup_signing_message(*target, [7] * 32, 0)
-        assert Net().tell(setup, STATION) == []
+        assert Net().send(setup, STATION) == []
 
 
 def test_system_zero_is_no_source() -> None:
     net = Net()
     assert net.router.route(MavCodec(0, 1).encode(heartbeat()), STATION) == []
-    assert net.tell(command(0, 1), COMPANION) != []
+    assert net.send(command(0, 1), COMPANION) != []
 
 
 # Restarts and departures
@@ -152,10 +152,10 @@ def system_time(boot_ms: int) -> Message:
 def test_a_restart_clears_the_routes_of_its_system() -> None:
     net = Net()
     net.router.route(frame_of(heartbeat(), STATION), RADIO)
-    net.tell(system_time(500_000), STATION)
-    net.tell(system_time(900), STATION)
-    assert destinations(net.tell(command(255, 190), COMPANION)) == {(UDP, STATION.peer, None)}
-    assert len(net.tell(command(254, 190), COMPANION)) == 1
+    net.send(system_time(500_000), STATION)
+    net.send(system_time(900), STATION)
+    assert destinations(net.send(command(255, 190), COMPANION)) == {(UDP, STATION.peer, None)}
+    assert len(net.send(command(254, 190), COMPANION)) == 1
 
 
 @pytest.mark.parametrize(
@@ -167,15 +167,15 @@ def test_time_that_goes_on_or_wraps_or_was_overtaken_is_no_restart(
 ) -> None:
     net = Net()
     net.router.route(frame_of(heartbeat(), STATION), RADIO)
-    net.tell(system_time(before_ms), STATION)
-    net.tell(system_time(after_ms), STATION)
-    assert len(net.tell(command(255, 190), COMPANION)) == 2
+    net.send(system_time(before_ms), STATION)
+    net.send(system_time(after_ms), STATION)
+    assert len(net.send(command(255, 190), COMPANION)) == 2
 
 
 def test_a_channel_that_is_gone_is_not_used() -> None:
     net = Net()
     net.router.forget(COMPANION)
-    assert net.tell(command(1, 191), STATION) == []
+    assert net.send(command(1, 191), STATION) == []
 
 
 def test_strangers_cannot_fill_the_memory() -> None:
@@ -191,6 +191,6 @@ def test_who_hops_between_ports_is_followed() -> None:
     for port in range(50_000, 50_050):
         channel = Channel(UDP, ("127.0.0.1", port))
         net.router.route(frame_of(heartbeat(), STATION), channel)
-    peers = {chunk.peer for chunk in net.tell(command(255, 190), COMPANION)}
+    peers = {chunk.peer for chunk in net.send(command(255, 190), COMPANION)}
     assert ("127.0.0.1", 50_049) in peers
     assert len(peers) == 8

@@ -21,7 +21,7 @@ RULES = StreamProfile(
 def run(
     table: StreamTable, duration_s: float, step_s: float = STEP_S, start_s: float = 0.0
 ) -> dict[int, list[float]]:
-    """When each message left."""
+    """Return the times at which each message was sent."""
     times: dict[int, list[float]] = {}
     for step in range(round(duration_s / step_s)):
         now_s = start_s + step * step_s

@@ -25,12 +25,12 @@ def received(message: Message, sender: Partner = STATION) -> Message:
 
 
 def sent(outgoing: Outgoing) -> Message:
-    """What the other end reads."""
+    """Return the message that the other end decodes."""
     return said(outgoing.message)
 
 
 def said(message: Message) -> Message:
-    """What the other end reads of a message of ours."""
+    """Return a message of ours as the other end decodes it."""
     (decoded,) = MavCodec(255, 190).decode(MavCodec(1, 1).encode(message))
     return decoded
 

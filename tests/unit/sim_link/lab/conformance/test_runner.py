@@ -1,4 +1,4 @@
-"""Selecting and running rules, and telling how they went."""
+"""Selecting and running rules, and reporting their results."""
 
 from __future__ import annotations
 
@@ -77,8 +77,8 @@ def run(flavour: Flavour) -> list[RuleOutcome]:
 def note_of_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     """A PX4 that is known to break a rule."""
     notes = {"samples.is_broken": "does not"}
-    told = AutopilotNotes("7.0", notes, {"samples.holds": "another number"})
-    known = {Flavour.PX4: told, Flavour.ARDUPILOT: AutopilotNotes("8.0", {}, {})}
+    written = AutopilotNotes("7.0", notes, {"samples.holds": "another number"})
+    known = {Flavour.PX4: written, Flavour.ARDUPILOT: AutopilotNotes("8.0", {}, {})}
     monkeypatch.setattr("sim_link.lab.conformance.rules.autopilot_notes", lambda: known)
 
 
@@ -169,10 +169,10 @@ def test_listing_tells_deviations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_record() -> None:
-    told = record(run(Flavour.PX4), "udp:127.0.0.1:1", ["COM_X is not restored"])
-    assert told["peer"] == "udp:127.0.0.1:1"
-    rules = told["rules"]
+    written = record(run(Flavour.PX4), "udp:127.0.0.1:1", ["COM_X is not restored"])
+    assert written["peer"] == "udp:127.0.0.1:1"
+    rules = written["rules"]
     assert isinstance(rules, list)
     assert rules[1]["verdict"] == RuleVerdict.FAIL.value
-    assert told["exit_code"] == 1
-    assert told["problems"] == ["COM_X is not restored"]
+    assert written["exit_code"] == 1
+    assert written["problems"] == ["COM_X is not restored"]

@@ -1,4 +1,4 @@
-"""What an attacker sends, against what the link layer thinks of it."""
+"""An attacker's frames, against their classification by the link layer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each content fault does to the frames of vehicle and radio, read back from the bytes."""
+"""Effect of each content fault on frames of vehicle and radio, read back from the bytes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def arrivals(
     lane: Lane = Lane.TO_COMPANION,
     key: SigningKey | None = None,
 ) -> list[tuple[float, Any]]:
-    """What arrives, decoded, of messages that are sent every 0.1 s."""
+    """Return what arrives, decoded, of messages that are sent every 0.1 s."""
     link = FaultyLink(Schedule(faults=faults), 1, key=key)
     codec, reader = MavCodec(1, 7), MavCodec(9, 9)
     if key is not None:

@@ -41,7 +41,7 @@ AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 
 
 class Ears(Observer):
-    """What the companion heard."""
+    """Record of the frames that the companion received."""
 
     def __init__(self) -> None:
         self.genuine: list[float] = []

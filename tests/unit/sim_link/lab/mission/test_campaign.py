@@ -1,4 +1,4 @@
-"""What a campaign makes of its scripts before anything flies, and of flights that go wrong."""
+"""A campaign's treatment of its scripts before anything flies, and of failed flights."""
 
 from __future__ import annotations
 
@@ -206,19 +206,19 @@ def test_other_errors_are_no_interrupts() -> None:
 def test_what_was_flown_before_an_interrupt_is_kept(tmp_path: Path) -> None:
     path = script(tmp_path, "m.yaml")
     tasks = MissionBatch([path], seeds=range(3)).tasks()
-    told: list[int] = []
+    finished: list[int] = []
 
     def done(position: int, summary: MissionResult) -> None:
         assert summary.is_passed
-        told.append(position)
+        finished.append(position)
 
     def progress(_runner: StepRunner, _situation: FlightSituation) -> None:
-        if len(told) == 2:
+        if len(finished) == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         fly_all(tasks, 1, done, progress)
-    assert told == [0, 1]
+    assert finished == [0, 1]
 
 
 LONG = "name: long\nsteps: [connect, {wait: {for_s: 5000}}]\ntime_limit_s: 10000\n"

@@ -69,27 +69,27 @@ def test_the_vehicle_is_heard_by_all_and_every_client_by_the_vehicle_and_the_oth
 
 
 def test_what_reaches_the_companion_is_told_when_it_does() -> None:
-    wire, told = FaultyLink(Schedule(), 1), list[float]()
+    wire, delivered_s = FaultyLink(Schedule(), 1), list[float]()
     hub = Hub(
         wire,
         lambda *_: None,
         lambda _: None,
         lambda _: None,
-        delivered=lambda _, now_s: told.append(now_s),
+        delivered=lambda _, now_s: delivered_s.append(now_s),
     )
     frame = MavCodec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3))
     hub.receive(Chunk(VEHICLE, frame, PEER), 1.0)
     hub.receive(Chunk(COMPANION, frame, PEER), 1.5)
-    assert told == [1.0]
+    assert delivered_s == [1.0]
     wire.add(LinkDelay(delay_s=0.4), 2.0)
     hub.receive(Chunk(OPERATOR, frame, PEER), 2.0)
     hub.handle_timer(2.3)
-    assert told == [1.0]
+    assert delivered_s == [1.0]
     hub.handle_timer(2.5)
-    assert told == [1.0, 2.5]
+    assert delivered_s == [1.0, 2.5]
     wire.add(LinkBlackout(), 3.0)
     hub.receive(Chunk(VEHICLE, frame, PEER), 3.1)
-    assert told == [1.0, 2.5]
+    assert delivered_s == [1.0, 2.5]
 
 
 def test_a_radio_beside_the_vehicle_is_one_more_client() -> None:

@@ -1,4 +1,4 @@
-"""What is written of flights: the page, JUnit XML, the event log and lines for people."""
+"""Reports of flights: the page, JUnit XML, the event log and lines for people."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_the_page_says_of_every_invariant_whether_it_was_kept_broken_or_not_judg
     result = result_of()
     assert {violations for _, _, violations, _ in invariants_of(result.record)} == {None}
     result.record.scope, result.record.slack_s = WIRE, 1.25
-    rows = {name: told for name, _, *told in invariants_of(result.record)}
+    rows = {name: verdict for name, _, *verdict in invariants_of(result.record)}
     assert list(rows) == [f"I{number}" for number in range(1, 14)]
     assert (rows["I2"][0], rows["I7"][0]) == (0, 1)
     assert rows["I8"] == [None, WIRE.unjudged["I8"]]
@@ -248,13 +248,15 @@ def test_plain_progress_tells_steps_of_one_flight_and_results_of_many() -> None:
     assert lines[2].strip().startswith("close: ")
 
 
-@pytest.mark.parametrize(("late_s", "is_told"), [(0.9, True), (0.1, False)])
-def test_a_failure_on_a_busy_computer_comes_with_what_to_do(late_s: float, is_told: bool) -> None:
+@pytest.mark.parametrize(("late_s", "is_announced"), [(0.9, True), (0.1, False)])
+def test_a_failure_on_a_busy_computer_comes_with_what_to_do(
+    late_s: float, is_announced: bool
+) -> None:
     result = result_of(is_met=False)
     result.record.late_s = late_s
     output = io.StringIO()
     PlainProgress(1, output, is_detailed=True).finished(result.without_history())
-    assert ("too busy" in output.getvalue()) is is_told
+    assert ("too busy" in output.getvalue()) is is_announced
 
 
 def test_a_busy_computer_is_no_news_where_the_mission_passed() -> None:

@@ -1,4 +1,4 @@
-"""What is recorded of real processes, dated and judged."""
+"""Records of real processes, dated and judged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sim_link.lab.observer import Frame, Lane, Observer
 
 
 class Dates(Observer):
-    """When what was noted."""
+    """Times of what was recorded."""
 
     def __init__(self) -> None:
         self.noted_s: list[tuple[object, float]] = []

@@ -1,4 +1,4 @@
-"""A vehicle at a border, or beyond it: what it is told to do next, and who answers for it."""
+"""A vehicle at a border, or beyond it: its next setpoints, and their judgement."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sent_beside(
     is_lied_to: bool = False,
     up_m: float = 15.0,
 ) -> list[str]:
-    """What is reported of setpoints, tick by tick, while the vehicle is told to be there."""
+    """Return the violations of setpoints, tick by tick, for these reported vehicle positions."""
     around = monitored_flight(AUTO, Scenario(), 1)
     scene = around.monitor.scene
     scene.observed.is_ours, scene.is_lied_to = is_ours, is_lied_to

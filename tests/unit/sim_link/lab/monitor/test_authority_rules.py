@@ -1,4 +1,4 @@
-"""Who gave the mode: a person's switch counts, an autopilot that goes back by itself does not."""
+"""Origin of the mode: a person's switch counts, an autopilot's own return does not."""
 
 from __future__ import annotations
 

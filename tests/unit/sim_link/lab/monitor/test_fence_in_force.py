@@ -23,7 +23,7 @@ FENCE = mavlink.MAV_MISSION_TYPE_FENCE
 
 
 def given(*messages: Message) -> FencesInForce:
-    """What is in force after these messages, one a second, where a degree is a metre."""
+    """Return the fences in force after these messages, one a second; a degree is a metre."""
     fences, codec = FencesInForce(), MavCodec(1, 1)
     for now_s, message in enumerate(messages):
         frame = Frame(float(now_s), codec.encode(message), Lane.TO_COMPANION)

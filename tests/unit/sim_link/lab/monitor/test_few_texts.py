@@ -24,7 +24,7 @@ def heartbeat(mode: int, flags: int = ARMED) -> Message:
     return mavlink.MAVLink_heartbeat_message(2, 3, flags, mode, 4, 3)
 
 
-class Told:
+class Judged:
     """An invariant, and what is sent and heard at its times."""
 
     def __init__(self) -> None:
@@ -32,13 +32,13 @@ class Told:
         self.few = FewTexts(self.scene)
         self._texts = 0
 
-    def say(self, now_s: float, text: str) -> Told:
+    def say(self, now_s: float, text: str) -> Judged:
         self._texts += 1
         for message in status_text(4, text, self._texts):
             self._show("sent", now_s, message, COMPANION)
         return self
 
-    def hear(self, now_s: float, message: Message, sender: tuple[int, int] = AUTOPILOT) -> Told:
+    def hear(self, now_s: float, message: Message, sender: tuple[int, int] = AUTOPILOT) -> Judged:
         self._show("heard", now_s, message, sender)
         return self
 
@@ -57,26 +57,26 @@ class Told:
 def test_the_same_words_with_other_figures_are_found(
     text: str, after_s: float, *, is_found: bool
 ) -> None:
-    told = Told().say(1.0, text.format(5.2)).say(1.0 + after_s, text.format(17))
+    judged = Judged().say(1.0, text.format(5.2)).say(1.0 + after_s, text.format(17))
     what = f"the same text again: {text.format('#')}"
-    assert told.found == ([what] if is_found else [])
+    assert judged.found == ([what] if is_found else [])
 
 
 def test_other_words_and_another_emitter_are_another_cause() -> None:
-    told = Told()
+    judged = Judged()
     for text in ("hold: no ranging", "hold: stale", "emitter 7 lost", "emitter 8 lost"):
-        told.say(1.0, text)
-    assert told.found == []
+        judged.say(1.0, text)
+    assert judged.found == []
 
 
 def test_the_copy_for_another_link_is_no_repetition() -> None:
-    assert Told().say(1.0, "hold: stale").say(1.0, "hold: stale").found == []
+    assert Judged().say(1.0, "hold: stale").say(1.0, "hold: stale").found == []
 
 
 def test_a_new_process_knows_nothing_of_the_one_before() -> None:
-    told = Told().say(1.0, "resumed")
-    told.few.started()
-    assert told.say(5.0, "resumed").found == []
+    judged = Judged().say(1.0, "resumed")
+    judged.few.started()
+    assert judged.say(5.0, "resumed").found == []
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_new_process_knows_nothing_of_the_one_before() -> None:
 def test_what_a_person_did_since_excuses_it(
     message: Message, sender: tuple[int, int], *, is_excused: bool
 ) -> None:
-    told = Told().hear(0.5, heartbeat(HOLD)).say(1.0, "refused").hear(2.0, message, sender)
-    assert told.say(3.0, "refused").found == (
+    judged = Judged().hear(0.5, heartbeat(HOLD)).say(1.0, "refused").hear(2.0, message, sender)
+    assert judged.say(3.0, "refused").found == (
         [] if is_excused else ["the same text again: refused"]
     )

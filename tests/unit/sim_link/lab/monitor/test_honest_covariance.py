@@ -1,4 +1,4 @@
-"""I9 on estimates that are made up: what is told as a covariance must be one."""
+"""I9 on invented estimates: what is reported as a covariance must be one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BAD = {
 
 
 def found(*estimates: TargetEstimate | None) -> list[str]:
-    """What is reported, tick by tick, while these are shown."""
+    """Return the violations, tick by tick, of these estimates."""
     around, shown = monitored_flight(AUTO, Scenario(), 1), list(estimates)
     invariant = HonestCovariance(around.monitor.scene, lambda: shown[0])
     while shown:

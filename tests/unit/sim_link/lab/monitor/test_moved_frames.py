@@ -35,7 +35,7 @@ def found(around: Monitored) -> list[str]:
 
 
 def followed_while_origin_moves(around: Monitored, origin_m: float, step_m: float) -> list[str]:
-    """What is found of a setpoint that is stepped aside as the origin moves to the east."""
+    """Return the violations of a setpoint that steps aside as the origin moves to the east."""
     scene = around.monitor.scene
     scene.observed.is_ours = True
     invariant = WithinEnvelope(scene)

@@ -1,4 +1,4 @@
-"""What another sender does, to the vehicle or with its ids, is not the companion's doing."""
+"""Acts of another sender, on the vehicle or with its ids, do not count as the companion's."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ def test_a_stranger_whose_frame_was_dropped_unread_is_not_followed() -> None:
 
 
 def quiet_beside_a_stranger(make: MakeCompanion | None, quiet: Fault) -> set[str]:
-    """What is broken where the vehicle falls silent and a stranger with its ids does not."""
+    """Return the broken invariants if the vehicle falls silent and a stranger with its ids not."""
     around = monitored_flight(AUTO, COPTER, 1, make_companion=make)
     around.flight.run(18.0)
     flood = UnsignedFrames(start_s=0.9, duration_s=8.0, rate_hz=70.0)

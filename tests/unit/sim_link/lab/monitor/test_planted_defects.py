@@ -114,7 +114,7 @@ def test_a_covariance_that_is_not_positive_is_found() -> None:
 
 
 def jumped_out(defect: type[Planted] | None, **jump_m: float) -> set[str]:
-    """What is broken after a jump in flight that ends outside a small fence, or its band."""
+    """Return the broken invariants after a jump to outside of a small fence, or its band."""
     square = ((-25.0, -25.0), (25.0, -25.0), (25.0, 25.0), (-25.0, 25.0))
     config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=square))
     make = None if defect is None else maker(defect)
@@ -141,7 +141,7 @@ def test_who_stays_is_not(jump_m: dict[str, float]) -> None:
 
 
 def begun_outside(defect: type[Planted] | None) -> tuple[set[str], float]:
-    """What is broken by a vehicle that begins 50 m outside; and how far east it is in the end."""
+    """Return the broken invariants of a start 50 m outside, and the last position's east."""
     field = ((-120.0, -40.0), (-50.0, -40.0), (-50.0, 40.0), (-120.0, 40.0))
     config = CompanionConfig(mission=AUTO.mission, limits=LimitsConfig(fence_enu_m=field))
     make = None if defect is None else maker(defect)

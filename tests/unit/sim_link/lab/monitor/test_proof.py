@@ -1,4 +1,4 @@
-"""What a signed link has to believe, by the letter of the protocol."""
+"""Frames that a signed link must accept, by the letter of the protocol."""
 
 from __future__ import annotations
 

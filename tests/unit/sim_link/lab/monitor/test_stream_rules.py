@@ -1,4 +1,4 @@
-"""When the stream of setpoints may pause, and when a pause is an offence."""
+"""Pauses of the stream of setpoints that are allowed, and those that are an offence."""
 
 from __future__ import annotations
 
@@ -23,8 +23,12 @@ class Stream:
     def __init__(self) -> None:
         self.scene: ObservedScene = monitored_flight(AUTO, Scenario(), 1).monitor.scene
         self.invariant = KeepsStreaming(self.scene)
-        told = self.scene.observed
-        told.is_ours, told.heartbeat_s, told.position_enu_m = True, 0.0, (0.0, 0.0, 15.0)
+        observed = self.scene.observed
+        observed.is_ours, observed.heartbeat_s, observed.position_enu_m = (
+            True,
+            0.0,
+            (0.0, 0.0, 15.0),
+        )
         self.invariant.noted("phase", {"new": "hold"})
 
     def lasts(

@@ -37,17 +37,17 @@ def test_the_one_sided_filter_must_beat_paper_and_huber(
 
 
 @pytest.mark.parametrize(
-    ("worst_m", "is_met", "told"),
+    ("worst_m", "is_met", "words"),
     [(2.4, True, "no run diverged"), (2.6, False, "1 of 200 runs diverged")],
 )
 def test_a_claim_about_an_rmse_is_missed_where_a_run_diverged_and_tells_the_median(
-    worst_m: float, is_met: bool, told: str
+    worst_m: float, is_met: bool, words: str
 ) -> None:
     ours = cell(REACTIVE, tally(0.2, worst_m=worst_m), value="0.5")
     paper = row(ours.system, "", "0.21", value="0.5")
     found = claim("Reactive crossing as printed", ours, rows=(paper,))
     assert found.is_met is is_met
-    assert found.measured == f"0.200 m, median 0.200 m, {told}"
+    assert found.measured == f"0.200 m, median 0.200 m, {words}"
 
 
 def test_one_lost_run_of_the_better_planner_does_not_turn_the_reversal_into_better() -> None:

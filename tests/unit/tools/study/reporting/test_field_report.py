@@ -1,4 +1,4 @@
-"""What flights in the field come to: shares with their intervals, medians, tables and the page."""
+"""Figures of flights in the field: shares with their intervals, medians, tables and the page."""
 
 from __future__ import annotations
 

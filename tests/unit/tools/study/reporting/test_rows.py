@@ -20,7 +20,7 @@ STEPS, RUNS = 30, 40
 
 
 def _tally(rmse_m: float, bound_m: float = 0.5) -> RunTally:
-    """All runs alike: 10 m off for ten steps, then that much."""
+    """Return a tally of equal runs: 10 m off for ten steps, then the given error."""
     squared = np.full(STEPS, RUNS * rmse_m**2)
     squared[:10] = RUNS * 100.0
     ones = np.ones(STEPS)
