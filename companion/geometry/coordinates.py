@@ -105,14 +105,14 @@ class LocalOrigin:
     def geodetic_from_enu(self, enu_m: Triple) -> Triple:
         """Return latitude and longitude in degrees and altitude in metres of a local point."""
         (east, north, up), (de, dn, du) = enu_m, self.offset_enu_m
-        place = ((east - de) / self.scale_en[0], (north - dn) / self.scale_en[1], up - du)
+        local = ((east - de) / self.scale_en[0], (north - dn) / self.scale_en[1], up - du)
         match self.projection:
             case Projection.SPHERE:
-                return _sphere_geodetic(self, place)
+                return _sphere_geodetic(self, local)
             case Projection.FLAT:
-                return _flat_geodetic(self, place)
+                return _flat_geodetic(self, local)
         lat, lon, alt = pymap3d.enu2geodetic(
-            *place, self.latitude_deg, self.longitude_deg, self.altitude_m
+            *local, self.latitude_deg, self.longitude_deg, self.altitude_m
         )
         return (float(lat), float(lon), float(alt))
 
@@ -120,17 +120,17 @@ class LocalOrigin:
         self, latitude_deg: float, longitude_deg: float, altitude_m: float
     ) -> Triple:
         """Return local east, north and up in metres of a geodetic point."""
-        place = (latitude_deg, longitude_deg, altitude_m)
+        geodetic = (latitude_deg, longitude_deg, altitude_m)
         match self.projection:
             case Projection.SPHERE:
-                east, north, up = _sphere_enu(self, place)
+                east, north, up = _sphere_enu(self, geodetic)
             case Projection.FLAT:
-                east, north, up = _flat_enu(self, place)
+                east, north, up = _flat_enu(self, geodetic)
             case _:
                 east, north, up = map(
                     float,
                     pymap3d.geodetic2enu(
-                        *place, self.latitude_deg, self.longitude_deg, self.altitude_m
+                        *geodetic, self.latitude_deg, self.longitude_deg, self.altitude_m
                     ),
                 )
         de, dn, du = self.offset_enu_m
@@ -145,9 +145,9 @@ LEAST_COSINE = 0.01
 """Lower limit of the cosine of latitude, as in ArduPilot's `longitude_scale`."""
 
 
-def _sphere_enu(origin: LocalOrigin, place: Triple) -> Triple:
-    lat0, lat = math.radians(origin.latitude_deg), math.radians(place[0])
-    east_rad = math.radians(place[1] - origin.longitude_deg)
+def _sphere_enu(origin: LocalOrigin, geodetic: Triple) -> Triple:
+    lat0, lat = math.radians(origin.latitude_deg), math.radians(geodetic[0])
+    east_rad = math.radians(geodetic[1] - origin.longitude_deg)
     cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(east_rad)
     # near the origin the arc cosine is ill-conditioned; the haversine gives the same angle
     half = math.sin((lat - lat0) / 2.0) ** 2
@@ -156,11 +156,11 @@ def _sphere_enu(origin: LocalOrigin, place: Triple) -> Triple:
     stretch = SPHERE_M * (angle / math.sin(angle) if angle > 0.0 else 1.0)
     north = math.cos(lat0) * math.sin(lat) - math.sin(lat0) * math.cos(lat) * math.cos(east_rad)
     east = math.cos(lat) * math.sin(east_rad)
-    return (stretch * east, stretch * north, place[2] - origin.altitude_m)
+    return (stretch * east, stretch * north, geodetic[2] - origin.altitude_m)
 
 
-def _sphere_geodetic(origin: LocalOrigin, place: Triple) -> Triple:
-    east, north, up = place
+def _sphere_geodetic(origin: LocalOrigin, local: Triple) -> Triple:
+    east, north, up = local
     x, y = north / SPHERE_M, east / SPHERE_M
     angle = math.hypot(x, y)
     altitude_m = origin.altitude_m + up
@@ -173,15 +173,15 @@ def _sphere_geodetic(origin: LocalOrigin, place: Triple) -> Triple:
     return (math.degrees(lat), _wrapped_deg(origin, math.degrees(east_rad)), altitude_m)
 
 
-def _flat_enu(origin: LocalOrigin, place: Triple) -> Triple:
-    east_deg = math.remainder(place[1] - origin.longitude_deg, 360.0)
-    north = (place[0] - origin.latitude_deg) * METRES_PER_DEGREE
-    east = east_deg * METRES_PER_DEGREE * _cosine((place[0] + origin.latitude_deg) / 2.0)
-    return (east, north, place[2] - origin.altitude_m)
+def _flat_enu(origin: LocalOrigin, geodetic: Triple) -> Triple:
+    east_deg = math.remainder(geodetic[1] - origin.longitude_deg, 360.0)
+    north = (geodetic[0] - origin.latitude_deg) * METRES_PER_DEGREE
+    east = east_deg * METRES_PER_DEGREE * _cosine((geodetic[0] + origin.latitude_deg) / 2.0)
+    return (east, north, geodetic[2] - origin.altitude_m)
 
 
-def _flat_geodetic(origin: LocalOrigin, place: Triple) -> Triple:
-    east, north, up = place
+def _flat_geodetic(origin: LocalOrigin, local: Triple) -> Triple:
+    east, north, up = local
     north_deg = north / METRES_PER_DEGREE
     east_deg = east / METRES_PER_DEGREE / _cosine(origin.latitude_deg + north_deg / 2.0)
     latitude_deg = origin.latitude_deg + north_deg
@@ -205,11 +205,11 @@ Degrees = tuple[float, float]
 """Latitude and longitude."""
 
 
-def tile_at(place: Degrees, zoom: int) -> tuple[int, int]:
+def tile_at(position_deg: Degrees, zoom: int) -> tuple[int, int]:
     """Return x and y of the tile that contains a position."""
     count = 2**zoom
-    latitude_rad = math.radians(max(-LATITUDES_DEG, min(LATITUDES_DEG, place[0])))
-    x = (place[1] + 180.0) / 360.0 * count
+    latitude_rad = math.radians(max(-LATITUDES_DEG, min(LATITUDES_DEG, position_deg[0])))
+    x = (position_deg[1] + 180.0) / 360.0 * count
     y = (1.0 - math.asinh(math.tan(latitude_rad)) / math.pi) / 2.0 * count
     return min(max(int(x), 0), count - 1), min(max(int(y), 0), count - 1)
 

@@ -105,7 +105,7 @@ class GeoFence:
         return LocalOrigin(*self.inclusion.corners_deg[0], 0.0)
 
 
-def place_problem(latitude_deg: float, longitude_deg: float) -> str | None:
+def corner_problem(latitude_deg: float, longitude_deg: float) -> str | None:
     """Return why latitude and longitude are not valid for a corner, or None."""
     if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
         return "is not a finite number"
@@ -142,7 +142,7 @@ def fence_of(areas: Sequence[NamedArea]) -> GeoFence:
     """Return the fence that areas form; a `ValueError` begins with the path of a wrong one."""
     for named in areas:
         for index, (latitude_deg, longitude_deg) in enumerate(named.area.corners_deg):
-            problem = place_problem(latitude_deg, longitude_deg)
+            problem = corner_problem(latitude_deg, longitude_deg)
             if problem is not None:
                 raise ValueError(f"{named.path}: corner {index + 1}: {problem}")
         problem = area_problem(named.area)
@@ -177,9 +177,9 @@ def difference(
     Borders are compared both ways, at every corner and every 5 m between (on long ones, at about
     400 points). `more_keep_out_enu_m` are keep-outs of ours that the autopilot may lack.
     """
-    apart_m, place = _apart(own.polygon_enu_m, other.polygon_enu_m)
+    apart_m, point = _apart(own.polygon_enu_m, other.polygon_enu_m)
     if apart_m > tolerance_m:
-        return f"borders up to {apart_m:.1f} m apart, at {_named(place)}"
+        return f"borders up to {apart_m:.1f} m apart, at {_named(point)}"
     ours = (*own.keep_out_enu_m, *more_keep_out_enu_m)
     for some, others, lacks in (
         (own.keep_out_enu_m, other.keep_out_enu_m, "the autopilot's has no such exclusion"),
@@ -193,8 +193,8 @@ def difference(
     return None
 
 
-def _named(place: Point) -> str:
-    return f"{place[0]:.0f} m east, {place[1]:.0f} m north"
+def _named(point: Point) -> str:
+    return f"{point[0]:.0f} m east, {point[1]:.0f} m north"
 
 
 def _apart(one: Corners, other: Corners) -> tuple[float, Point]:

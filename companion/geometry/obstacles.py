@@ -124,8 +124,8 @@ class FreeSpace:
         legs, arcs = self.boundary
         nearest = [nearest_on_segment(*leg, point) for leg in legs]
         nearest += [arc.nearest(point) for arc in arcs]
-        nearest.sort(key=lambda place: math.dist(place, point))
-        return next((place for place in nearest if self.allows(place)), None)
+        nearest.sort(key=lambda candidate: math.dist(candidate, point))
+        return next((candidate for candidate in nearest if self.allows(candidate)), None)
 
     @cached_property
     def boundary(self) -> tuple[tuple[Segment, ...], tuple[Arc, ...]]:
@@ -156,11 +156,11 @@ class FreeSpace:
     def _free_of(self, arc: Arc) -> Iterator[Arc]:
         def is_on_boundary(turn_rad: float) -> bool:
             """Return True if the arc keeps the margin there."""
-            place = arc.at(turn_rad)
+            position = arc.at(turn_rad)
             for edge in self._edges:
-                if math.dist(nearest_on_segment(*edge, place), place) < self.margin_m:
+                if math.dist(nearest_on_segment(*edge, position), position) < self.margin_m:
                     return False  # sooner than by `allows`: most points fail at one near edge
-            return self.allows(place)
+            return self.allows(position)
 
         cuts = {0.0, arc.turn_rad, *self._cuts(arc)}
         for low, high in _runs(sorted(cuts), is_on_boundary):
@@ -399,9 +399,9 @@ class WayFinder:
                 return self._traced(arrived, goal)
             for there, leg_m in self._legs_from(here, start, goal):
                 if there not in arrived:
-                    place = goal if there == GOAL else self.nodes[there]
+                    node = goal if there == GOAL else self.nodes[there]
                     ahead_m = flown_m + leg_m
-                    heapq.heappush(queue, (ahead_m + math.dist(place, goal), ahead_m, there, here))
+                    heapq.heappush(queue, (ahead_m + math.dist(node, goal), ahead_m, there, here))
         return None
 
     def _legs_from(self, here: int, start: Point, goal: Point) -> Iterator[tuple[int, float]]:
@@ -414,10 +414,10 @@ class WayFinder:
         if self.space.is_clear(self.nodes[here], goal):
             yield GOAL, math.dist(self.nodes[here], goal)
 
-    def _seen_from(self, place: Point, own: int) -> Iterator[tuple[int, float]]:
+    def _seen_from(self, position: Point, own: int) -> Iterator[tuple[int, float]]:
         for index, node in enumerate(self.nodes):
-            if index != own and self.space.is_clear(place, node):
-                yield index, math.dist(place, node)
+            if index != own and self.space.is_clear(position, node):
+                yield index, math.dist(position, node)
 
     def _traced(self, arrived: dict[int, int], goal: Point) -> tuple[Point, ...]:
         corners, here = [goal], arrived[GOAL]

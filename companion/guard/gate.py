@@ -168,14 +168,14 @@ class Guard:
             reasons.append(GuardReason.OUTSIDE)
         return Guarded((*motion.position_enu_m[:2], up_m), tuple(reasons))
 
-    def stand(self, place_enu_m: Position) -> Guarded:
+    def stand(self, position_enu_m: Position) -> Guarded:
         """Return the setpoint "do not move", even outside: for while the position is in doubt.
 
         Raises `ValueError` if the position is not finite.
         """
-        if not _are_finite(place_enu_m):
+        if not _are_finite(position_enu_m):
             raise ValueError("the position to hold is not a number")
-        return Guarded(place_enu_m)
+        return Guarded(position_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
         """Return the previous setpoint, at rest: it may stop at once. One outside comes in."""
@@ -215,11 +215,11 @@ class Guard:
         up_m, climb_mps = self._climbed(step)
         goal = self._permitted(step, fence)
         velocity = self._velocity(step, goal, fence)
-        place = ahead(step.start, velocity, dt_s)
-        if not self._is_safe(place, velocity, step, fence, ways):
+        position = ahead(step.start, velocity, dt_s)
+        if not self._is_safe(position, velocity, step, fence, ways):
             step.reasons.append(GuardReason.CUT_OFF)
-            place, velocity = step.start, (0.0, 0.0)
-        return Guarded((*place, up_m), tuple(step.reasons), (*velocity, climb_mps))
+            position, velocity = step.start, (0.0, 0.0)
+        return Guarded((*position, up_m), tuple(step.reasons), (*velocity, climb_mps))
 
     # A vehicle that cannot fly to its setpoint
 
@@ -277,13 +277,13 @@ class Guard:
         """Return the next setpoint straight on to `goal`; the vehicle if it went astray."""
         left_m = math.dist(step.start, goal)
         velocity = self._velocity(step, goal, fence)
-        place = ahead(step.start, velocity, step.dt_s)
-        if math.dist(step.start, place) >= left_m:
-            place, velocity = goal, (0.0, 0.0)
-        if math.dist(place, goal) > left_m:
+        position = ahead(step.start, velocity, step.dt_s)
+        if math.dist(step.start, position) >= left_m:
+            position, velocity = goal, (0.0, 0.0)
+        if math.dist(position, goal) > left_m:
             return Guarded(self.here(step.motion).position_enu_m, why)
         up_m, climb_mps = self._climbed(step)
-        return Guarded((*place, up_m), why, (*velocity, climb_mps))
+        return Guarded((*position, up_m), why, (*velocity, climb_mps))
 
     # The next setpoint
 
@@ -354,16 +354,16 @@ class Guard:
         return envelope.next_velocity(before, (speed_mps * east, speed_mps * north), step.dt_s)
 
     def _is_safe(
-        self, place: Point, velocity: Point, step: _Step, fence: Fence, ways: FreeSpace
+        self, position: Point, velocity: Point, step: _Step, fence: Fence, ways: FreeSpace
     ) -> bool:
         """Return True if a setpoint may be the last one; see the theory of operation."""
         stopping, vehicle = self.limits.stopping, step.vehicle
         arrival = ahead(vehicle, step.ground_mps, stopping.latency_s)
         return (
-            fence.allows(place)
-            and ways.is_clear(place, stopping.point(place, velocity))
-            and ways.is_clear(vehicle, place)
-            and ways.is_clear(arrival, place)
+            fence.allows(position)
+            and ways.is_clear(position, stopping.point(position, velocity))
+            and ways.is_clear(vehicle, position)
+            and ways.is_clear(arrival, position)
         )
 
 
@@ -375,9 +375,9 @@ def _are_numbers(goal: Position, motion: Motion, dt_s: float, speed_cap_mps: flo
     return all(map(math.isfinite, (*goal, dt_s))) and speed_cap_mps >= 0.0
 
 
-def _outside_m(place: Sequence[float], fence: Fence) -> float:
+def _outside_m(position: Sequence[float], fence: Fence) -> float:
     """Return the distance from a position to the area that the fence allows, metres."""
-    point = (place[0], place[1])
+    point = (position[0], position[1])
     return math.dist(point, fence.nearest_allowed(point))
 
 

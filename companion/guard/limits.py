@@ -153,11 +153,11 @@ class Stopping:
             raise ValueError("navigation_sigma_m: must be a finite number and not negative")
         object.__setattr__(self, "clearance_m", SIGMAS * self.navigation_sigma_m)
 
-    def point(self, place: Point, velocity_mps: Point) -> Point:
+    def point(self, position: Point, velocity_mps: Point) -> Point:
         """Return the farthest point at which a body with this velocity stops."""
         speed_mps = math.hypot(*velocity_mps)
         time_s = self.latency_s + 0.5 * speed_mps / self.deceleration_mps2
-        return ahead(place, velocity_mps, time_s)
+        return ahead(position, velocity_mps, time_s)
 
     def speed_mps(self, room_m: float, wait_s: float) -> float:
         """Return the greatest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
@@ -166,9 +166,9 @@ class Stopping:
         return math.sqrt(squared) - waiting_mps
 
 
-def ahead(place: Point, velocity_mps: Point, time_s: float) -> Point:
+def ahead(position: Point, velocity_mps: Point, time_s: float) -> Point:
     """Return the position after a time at constant velocity."""
-    return (place[0] + velocity_mps[0] * time_s, place[1] + velocity_mps[1] * time_s)
+    return (position[0] + velocity_mps[0] * time_s, position[1] + velocity_mps[1] * time_s)
 
 
 M_PER_KM = 1000.0

@@ -92,7 +92,7 @@ class EmitterQueue:
         """Source of the prior of an emitter at its first measurement."""
         self._deferred: list[int] = []
         """Emitters that were current and got lost, the longest ago first."""
-        self._place: Point = (0.0, 0.0)
+        self._sensor_en_m: Point = (0.0, 0.0)
         listed = {number: TargetTracker(trackers, number) for number in self.params.listed}
         self._trackers = {} if self.is_single else listed
         self.current = next(iter(listed.values()), TargetTracker(trackers))
@@ -187,11 +187,11 @@ class EmitterQueue:
         return reason or self._begin(measurement.emitter_id)
 
     def note_fused(self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu) -> None:
-        """Note place and strength of a measurement among several emitters.
+        """Note position and strength of a measurement among several emitters.
 
         Its strength is its power, else the radio's quality, else minus the range.
         """
-        self._place = sensor_enu_m[:2]
+        self._sensor_en_m = sensor_enu_m[:2]
         strength = measurement.power_dbm
         if strength is None:
             strength = measurement.quality
@@ -305,4 +305,4 @@ class EmitterQueue:
         if not tracker.hypotheses:
             return math.inf
         east, north = tracker.hypotheses[0].state.mean[:2]
-        return math.dist(self._place, (float(east), float(north)))
+        return math.dist(self._sensor_en_m, (float(east), float(north)))

@@ -67,7 +67,7 @@ def _problem(origin: LocalOrigin | None) -> str | None:
         return None
     values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
     if not all(math.isfinite(value) for value in values):
-        return "an origin that is no place"
+        return "an origin that is not finite"
     if abs(origin.latitude_deg) > 90.0 or abs(origin.longitude_deg) > 180.0:
         return "an origin beyond the poles"
     return None

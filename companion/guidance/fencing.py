@@ -176,7 +176,7 @@ class Fencing:
         self._settle()
 
     def recall(self, anchor: LocalOrigin) -> None:
-        """Restore the anchor of an earlier process: its fence is still in the same place."""
+        """Restore the anchor of an earlier process: its fence has not moved."""
         self.anchor = anchor
         self._settle()
 
@@ -264,7 +264,7 @@ class Fencing:
 
     @property
     def _circle(self) -> tuple[GeoFence, ...]:
-        """The circle about home as a fence in the world, if there is one and its place is known."""
+        """The circle about home as a fence in the world, if there is one with a known centre."""
         radius_m, home, origin = self.fence_limits.radius_m, self.home_enu_m, self._origin
         if radius_m is None or home is None or origin is None:
             return ()

@@ -240,9 +240,9 @@ class Handover:
     def _warn_of_fit(self, event: events.OriginSet) -> None:
         """Warn once per reported origin that positions use the fitted transform."""
         origin = event.origin
-        place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        if event.off_m and place != self._fitted_at:
-            self._fitted_at = place
+        origin_deg_m = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        if event.off_m and origin_deg_m != self._fitted_at:
+            self._fitted_at = origin_deg_m
             off_m = f"{event.off_m:.1f}"
             text = f"global position {off_m} m off the local one: using the fitted transform"
             self._context.warn(text)

@@ -125,8 +125,8 @@ def result_of(
     if origin is None:
         text = f"{head} R95 {estimate.absolute_r95_m:.1f} m"
         return ReportResult(estimate, None, None, emitter_id), text
-    place = (*estimate.position_enu_m, target_height_m)
-    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(place)
+    target_enu_m = (*estimate.position_enu_m, target_height_m)
+    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu(target_enu_m)
     text = f"{head} {latitude_deg:.7f} {longitude_deg:.7f} R95 {estimate.absolute_r95_m:.1f} m"
     return ReportResult(estimate, latitude_deg, longitude_deg, emitter_id, origin), text
 
@@ -159,10 +159,10 @@ CAUTION = (
 class StateMessages:
     """The announced state of the estimate, with hysteresis.
 
-    A second place whose probability is near the threshold comes and goes with every measurement. So
-    a state that demands more caution is announced at once, and one that demands less when the other
-    has not been seen for `settle_s`. The estimate itself, and every decision made with it, keeps
-    the current state.
+    A second position whose probability is near the threshold comes and goes with every measurement.
+    So a state that demands more caution is announced at once, and one that demands less when the
+    other has not been seen for `settle_s`. The estimate itself, and every decision made with it,
+    keeps the current state.
     """
 
     def __init__(self) -> None:

@@ -103,11 +103,11 @@ class FlightPlan:
         Without a position the plan stays as it is. The leg to the waypoint begins at the current
         setpoint, or at the vehicle itself.
         """
-        place_enu_m = vehicle.position_enu_m
-        if place_enu_m is None:
+        vehicle_enu_m = vehicle.position_enu_m
+        if vehicle_enu_m is None:
             return []
         previous, self._planned_s = self.waypoint, now_s
-        request = self._request(now_s, vehicle, place_enu_m, setpoint_enu_m, estimate)
+        request = self._request(now_s, vehicle, vehicle_enu_m, setpoint_enu_m, estimate)
         plan = self._planner.plan(request, self._memory)
         self.waypoint, self._memory = plan.waypoint, plan.memory
         commands = self._search_messages(now_s, estimate) + _descent_messages(
@@ -135,7 +135,7 @@ class FlightPlan:
         self,
         now_s: float,
         vehicle: VehicleView,
-        place_enu_m: PositionEnu,
+        vehicle_enu_m: PositionEnu,
         setpoint_enu_m: PositionEnu | None,
         estimate: TargetEstimate | None,
     ) -> PlanRequest:
@@ -143,24 +143,26 @@ class FlightPlan:
         home, yaw = vehicle.home_enu_m, vehicle.track.latest_yaw
         target_up_m = tracker.target_height_m if estimate is None else estimate.height_m
         return PlanRequest(
-            vehicle_enu_m=place_enu_m[:2],
+            vehicle_enu_m=vehicle_enu_m[:2],
             estimate=estimate,
             fence_enu_m=None if fence is None else fence.polygon_enu_m,
             fence_margin_m=0.0 if fence is None else fence.margin_m,
-            baseline_m=tracker.baseline_m(place_enu_m[2]),
+            baseline_m=tracker.baseline_m(vehicle_enu_m[2]),
             keep_out_enu_m=() if fence is None else fence.keep_out_enu_m,
             also_inside_enu_m=() if fence is None else fence.also_inside_enu_m,
             time_s=now_s,
             contact_s=self.contact_s,
-            height_m=place_enu_m[2] - target_up_m,
+            height_m=vehicle_enu_m[2] - target_up_m,
             yaw_enu_rad=None if yaw is None else bearing_enu_from_ned(yaw[1]),
             leg_from_enu_m=None if setpoint_enu_m is None else setpoint_enu_m[:2],
-            altitude_offset_m=None if home is None else place_enu_m[2] - home[2] - self._altitude_m,
+            altitude_offset_m=None
+            if home is None
+            else vehicle_enu_m[2] - home[2] - self._altitude_m,
             home_enu_m=None if home is None else home[:2],
             range_left_m=self._range_left_m(vehicle),
             outlook=self._outlook(now_s, vehicle, estimate),
             sigmas=tracker.latest_sigmas,
-            joint_covariance=tracker.joint_covariance(place_enu_m),
+            joint_covariance=tracker.joint_covariance(vehicle_enu_m),
         )
 
     def _search_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
@@ -189,7 +191,7 @@ class FlightPlan:
         fence = self._guard.limits.fence
         if estimate is None or fence is None:
             return []
-        where = _forbidden_place(fence, estimate.position_enu_m)
+        where = _forbidden_by(fence, estimate.position_enu_m)
         is_new, self._forbidden_text = where != self._forbidden_text, where
         if not (where and is_new) or now_s - self._announced_outside_s < REPEAT_AFTER_S:
             return []
@@ -207,12 +209,12 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
     return []
 
 
-def _forbidden_place(fence: Fence, place: Point) -> str:
+def _forbidden_by(fence: Fence, position_enu_m: Point) -> str:
     """Return why the vehicle may not be at an estimated position; empty: it may."""
-    if fence.allows(place):
+    if fence.allows(position_enu_m):
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
-    if any(depth_m(border, place) < fence.margin_m for border in borders):
+    if any(depth_m(border, position_enu_m) < fence.margin_m for border in borders):
         return "estimate is outside the fence: observing from inside"
     return "estimate is in a keep-out: observing from outside"
 
@@ -240,11 +242,11 @@ class Steering:
         return () if self._last is None else self._last.reasons
 
     def shift(self, shift_enu_m: PositionEnu) -> None:
-        """Shift the setpoint into a local frame that moved; it stays the same place."""
+        """Shift the setpoint into a local frame that moved; it stays at the same point."""
         if self._last is not None:
             e, n, u = self._last.position_enu_m
-            place = (e + shift_enu_m[0], n + shift_enu_m[1], u + shift_enu_m[2])
-            self._last = replace(self._last, position_enu_m=place)
+            shifted_enu_m = (e + shift_enu_m[0], n + shift_enu_m[1], u + shift_enu_m[2])
+            self._last = replace(self._last, position_enu_m=shifted_enu_m)
 
     def forget_setpoint(self) -> None:
         """Start the next setpoint at the vehicle's position."""
@@ -257,8 +259,8 @@ class Steering:
     def stand(self, motion: Motion) -> PositionSetpoint:
         """Keep the setpoint still, even outside the fence: the vehicle position may be wrong."""
         last = self._last
-        place = motion.position_enu_m if last is None else last.position_enu_m
-        return self._keep(self._guard.stand(place))
+        position_enu_m = motion.position_enu_m if last is None else last.position_enu_m
+        return self._keep(self._guard.stand(position_enu_m))
 
     def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
         """Hold at the position where holding began."""

@@ -13,7 +13,7 @@ fence. If there was an earlier session, a later one never launches by itself. It
 state in two steps. The phase at once: a session that had yielded stays silent until a grant, one
 that was in control until another mode was chosen, because PX4 may return to OFFBOARD by itself, and
 one that had reported does not search again. The estimate only when the autopilot's origin confirms
-that local coordinates still mean the same places, because an estimate in another frame is wrong
+that local coordinates still mean the same positions, because an estimate in another frame is wrong
 without looking wrong. The autopilot's fences of a flight are restored in the air even if the
 mission is another one. No step takes control: the operator hands it over, as always.
 """

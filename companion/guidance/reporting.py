@@ -4,7 +4,7 @@ A target counts as found once the stop rule is met. Targets are reported as they
 because the battery is low or the search over.
 
 Theory of operation of the stop rules. Random errors fall with the number of measurements; errors of
-a place or of the whole flight do not: the height of the ground, GNSS, walls that stay where they
+a position or of the whole flight do not: the height of the ground, GNSS, walls that stay where they
 are. So R95 settles at a radius that depends on the radio, the antenna and the site, and cannot be
 predicted. If that is above the radius to stop at, further crossings bring no information.
 """
@@ -38,8 +38,8 @@ class StopRule:
         self, estimate: TargetEstimate | None, now_s: float, radius_m: float, confirm_s: float
     ) -> bool:
         """Return True if the target is found; a missing estimate restarts the confirmation time."""
-        is_one_place = estimate is not None and estimate.state is EstimateState.LOCALISED
-        if estimate is None or not is_one_place or estimate.settled_r95_m > radius_m:
+        is_one_position = estimate is not None and estimate.state is EstimateState.LOCALISED
+        if estimate is None or not is_one_position or estimate.settled_r95_m > radius_m:
             self._since_s = None
             return False
         if self._since_s is None:
@@ -53,7 +53,7 @@ WORSE_RATIO = 1.5
 """R95 that has grown by more sets a new mark: measurements contradicted the old one."""
 MOST_SETTLED_M = 100.0
 """R95 above which no position is reported, unless `localised_r95_m` is larger."""
-ONE_PLACE = (EstimateState.LOCALISED, EstimateState.SEARCHING)
+ONE_POSITION = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
 
 class SettledRule:
@@ -94,7 +94,7 @@ class SettledRule:
         self._heard_s = heard_s
         r95_m = estimate.r95_m
         is_localised = estimate.state is EstimateState.LOCALISED
-        if estimate.state not in ONE_PLACE or (r95_m > MOST_SETTLED_M and not is_localised):
+        if estimate.state not in ONE_POSITION or (r95_m > MOST_SETTLED_M and not is_localised):
             self._mark = None
             return False
         if self._mark is None or not (

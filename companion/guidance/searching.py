@@ -146,16 +146,16 @@ class Searching:
             self.contact_s, self.contact_id = now_s, progress.heard[0]
             self._note_contact(vehicle)
         self.is_counting = self.is_counting and progress.sought is not None
-        place, height_m = vehicle.position_enu_m, vehicle.height_m
+        position_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
         is_airborne = vehicle.is_armed and vehicle.landed is LandedState.IN_AIR
-        is_placed = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
-        if not (self.is_counting and is_airborne and is_placed):
+        is_trusted = vehicle.is_position_fresh(now_s) and vehicle.track.is_trusted_at(now_s)
+        if not (self.is_counting and is_airborne and is_trusted):
             return problem
-        if place is None or height_m is None or passed_s > LONGEST_GAP_S:
+        if position_enu_m is None or height_m is None or passed_s > LONGEST_GAP_S:
             return problem
         if self._began_s is None:
             self._began_s = now_s
-        self._count(now_s, passed_s, (*self._in_first_frame(place, vehicle)[:2], height_m))
+        self._count(now_s, passed_s, (*self._in_first_frame(position_enu_m, vehicle)[:2], height_m))
         return problem
 
     def _work(self, area: SearchedArea, now_s: float) -> None:
@@ -168,9 +168,9 @@ class Searching:
             self.state, self._outlook = area.state, None
 
     def _note_contact(self, vehicle: VehicleView) -> None:
-        place, height_m = vehicle.position_enu_m, vehicle.height_m
-        if place is not None and height_m is not None and self._area is not None:
-            self._contact_m = (*self._in_first_frame(place, vehicle)[:2], height_m)
+        position_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
+        if position_enu_m is not None and height_m is not None and self._area is not None:
+            self._contact_m = (*self._in_first_frame(position_enu_m, vehicle)[:2], height_m)
             self._area.note_contact()
 
     def learn(self, emitter_id: int | None, emitter_enu_m: Point, vehicle: VehicleView) -> None:
@@ -180,28 +180,28 @@ class Searching:
         if emitter_id != self.contact_id or not self.is_worth_reporting:
             return
         self._area.finish()
-        place = self._in_first_frame((*emitter_enu_m, 0.0), vehicle)
-        self._learnt = learnt_reach(self._area, self._contact_m, place[:2])
+        found_m = self._in_first_frame((*emitter_enu_m, 0.0), vehicle)
+        self._learnt = learnt_reach(self._area, self._contact_m, found_m[:2])
 
-    def _count(self, now_s: float, passed_s: float, place_m: PositionEnu) -> None:
+    def _count(self, now_s: float, passed_s: float, position_m: PositionEnu) -> None:
         assert self._began_s is not None
         self.listened_s += passed_s
         self.ended_s = now_s
-        if not self._track or math.dist(place_m, self._track[-1][1:]) >= TRACK_STEP_M:
-            self._track.append((round(now_s - self._began_s, 2), *_rounded(place_m)))
+        if not self._track or math.dist(position_m, self._track[-1][1:]) >= TRACK_STEP_M:
+            self._track.append((round(now_s - self._began_s, 2), *_rounded(position_m)))
         if self._area is not None:
-            self._area.listen(place_m, passed_s)
+            self._area.listen(position_m, passed_s)
 
     @property
     def _reach_from(self) -> ReachSource:
         detection = self.params.detection
         return "preset" if detection is not None and detection.reach_m is None else "configured"
 
-    def _in_first_frame(self, place: PositionEnu, vehicle: VehicleView) -> PositionEnu:
+    def _in_first_frame(self, position_enu_m: PositionEnu, vehicle: VehicleView) -> PositionEnu:
         frame, first = vehicle.frame, self._origin
         if frame is None or first is None or frame == first:
-            return place
-        return first.enu_from_geodetic(*frame.geodetic_from_enu(place))
+            return position_enu_m
+        return first.enu_from_geodetic(*frame.geodetic_from_enu(position_enu_m))
 
     def _begin(self, fence_enu_m: Corners | None) -> str | None:
         """Make the grid; return a text if that is impossible."""
@@ -296,10 +296,10 @@ class Searching:
             reach_from=self._reach_from,
             learnt=self._learnt,
             grid=self._stored_grid,
-            looks=[(*_rounded(look.place_m), round(look.answers, 3)) for look in looks],
+            looks=[(*_rounded(look.position_m), round(look.answers, 3)) for look in looks],
             track=list(self._track),
         )
 
 
-def _rounded(place_m: PositionEnu) -> PositionEnu:
-    return (round(place_m[0], 2), round(place_m[1], 2), round(place_m[2], 2))
+def _rounded(position_m: PositionEnu) -> PositionEnu:
+    return (round(position_m[0], 2), round(position_m[1], 2), round(position_m[2], 2))

@@ -123,8 +123,8 @@ class ModeWatch:
         order = heartbeat.order
         return any(
             heartbeat.time_s - stamped_s <= MAX_MODE_AGE_S
-            and (order is None or place is None or place <= order)
-            for stamped_s, place in reversed(self._stamped)  # the newest one is the likeliest
+            and (order is None or number is None or number <= order)
+            for stamped_s, number in reversed(self._stamped)  # the newest one is the likeliest
         )
 
 
@@ -385,11 +385,11 @@ class VehicleView:
             return
         self.track.add(event.state)
         self.mode_watch.note_stamp(event.state.time_s, event.order)
-        place = event.state.position_enu_m
+        position_enu_m = event.state.position_enu_m
         if self._counted_at is None or not self.is_armed:
-            self._counted_at = place
+            self._counted_at = position_enu_m
             return
-        step_m = math.dist(place, self._counted_at)
+        step_m = math.dist(position_enu_m, self._counted_at)
         if step_m >= MIN_STEP_M:
             self.distance_m += step_m
-            self._counted_at = place
+            self._counted_at = position_enu_m

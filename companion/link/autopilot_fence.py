@@ -261,12 +261,12 @@ def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
         if item.frame not in GLOBAL_FRAMES:
             raise ValueError(f"{path}: frame {item.frame} is not a global one")
         if item.command in CIRCLES:
-            area = GeoArea((_place(item),), item.param1)
+            area = GeoArea((_lat_lon(item),), item.param1)
             areas.append(NamedArea(path, CIRCLES[item.command], area))
             index += 1
         elif item.command in POLYGONS:
             vertices = _vertices(items, index, path)
-            area = GeoArea(tuple(_place(vertex) for vertex in vertices))
+            area = GeoArea(tuple(_lat_lon(vertex) for vertex in vertices))
             areas.append(NamedArea(path, POLYGONS[item.command], area))
             index += len(vertices)
         elif item.command == RETURN_POINT:
@@ -288,7 +288,7 @@ def _vertices(items: Sequence[Item], index: int, path: str) -> Sequence[Item]:
     return vertices
 
 
-def _place(item: Item) -> LatLon:
+def _lat_lon(item: Item) -> LatLon:
     return item.x / DEGREE, item.y / DEGREE
 
 

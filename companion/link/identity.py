@@ -65,7 +65,7 @@ BREAKS = 6
 DOUBT_S = 5.0
 """Time without contradiction after which doubt ends."""
 
-Place = tuple[float, float, float]
+PositionNed = tuple[float, float, float]
 
 
 class Sign(NamedTuple):
@@ -73,7 +73,7 @@ class Sign(NamedTuple):
 
     stamp_s: float
     """Time since its boot."""
-    place_ned_m: Place | None = None
+    position_ned_m: PositionNed | None = None
 
 
 STAMPED = (
@@ -99,12 +99,12 @@ def sign_of(message: Message) -> Sign | None:
     """Return the evidence in a message; None without evidence or a valid time."""
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None
-    place: Place | None = None
+    position_ned_m: PositionNed | None = None
     if isinstance(message, mavlink.MAVLink_local_position_ned_message):
-        place = (message.x, message.y, message.z)
-        if not all(map(math.isfinite, place)):
-            place = None
-    return Sign(message.time_boot_ms / 1000.0, place)
+        position_ned_m = (message.x, message.y, message.z)
+        if not all(map(math.isfinite, position_ned_m)):
+            position_ned_m = None
+    return Sign(message.time_boot_ms / 1000.0, position_ned_m)
 
 
 @dataclass(slots=True)
@@ -119,16 +119,16 @@ class Track:
     stamp_s: float
     count: int = 1
     """Number of signs."""
-    place_ned_m: Place | None = None
-    place_s: float = -math.inf
+    position_ned_m: PositionNed | None = None
+    position_s: float = -math.inf
 
     @classmethod
     def begin(cls, sign: Sign, now_s: float) -> Track:
         """Return the track of a first sign."""
         offset_s = now_s - sign.stamp_s
-        place_s = -math.inf if sign.place_ned_m is None else now_s
-        place = sign.place_ned_m
-        return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, place, place_s)
+        position_s = -math.inf if sign.position_ned_m is None else now_s
+        position = sign.position_ned_m
+        return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, position, position_s)
 
     def late_s(self, sign: Sign, now_s: float) -> float:
         """Return the delay of a sign over the promptest one, seconds; negative: ahead of it."""
@@ -137,13 +137,13 @@ class Track:
 
     def away_m(self, sign: Sign) -> float:
         """Return the distance of a sign from the last position; 0 if either is unknown."""
-        if sign.place_ned_m is None or self.place_ned_m is None:
+        if sign.position_ned_m is None or self.position_ned_m is None:
             return 0.0
-        return math.dist(sign.place_ned_m, self.place_ned_m)
+        return math.dist(sign.position_ned_m, self.position_ned_m)
 
     def reaches(self, sign: Sign, now_s: float) -> bool:
         """Return True if the vehicle can have flown from the last position to that of a sign."""
-        return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.place_s)
+        return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.position_s)
 
     def goes_on(self, sign: Sign, now_s: float) -> bool:
         """Return True if a sign continues this track, whose time does not stand still."""
@@ -162,8 +162,8 @@ class Track:
         self.offset_s += min(late_s, 0.1 * max(0.0, now_s - self.heard_s))
         self.heard_s, self.stamp_s = now_s, sign.stamp_s
         self.count += 1
-        if sign.place_ned_m is not None:
-            self.place_ned_m, self.place_s = sign.place_ned_m, now_s
+        if sign.position_ned_m is not None:
+            self.position_ned_m, self.position_s = sign.position_ned_m, now_s
 
 
 class SignVerdict(Enum):
@@ -214,7 +214,7 @@ class IdentityCourse:
         is_of_clock = -AHEAD_S <= late_s <= LATE_S
         if is_of_clock and main.reaches(sign, now_s):
             main.take(sign, now_s)
-            is_conclusive = sign.place_ned_m is not None or self._clocks_s > AHEAD_S
+            is_conclusive = sign.position_ned_m is not None or self._clocks_s > AHEAD_S
             is_return = self._run > 0 and is_conclusive
             if not is_return:
                 return SignVerdict.GOES_ON
@@ -258,8 +258,8 @@ class IdentityCourse:
         is_first = other._sequence is None
         if is_first and (self._sequence is None or (sequence - self._sequence) % 256 > FAR_STEP):
             other.is_continuation = False
-        elif sign is not None and sign.place_ned_m is not None and self.main is not None:
-            way_m = NOISE_M + SPEED_MPS * max(0.0, now_s - self.main.place_s)
+        elif sign is not None and sign.position_ned_m is not None and self.main is not None:
+            way_m = NOISE_M + SPEED_MPS * max(0.0, now_s - self.main.position_s)
             is_near = self.main.away_m(sign) <= way_m
             other.is_continuation = is_near and self.is_of_clock(sign, now_s)
 
@@ -269,7 +269,7 @@ class IdentityCourse:
         late_s = abs(self.main.late_s(sign, now_s))
         if late_s > AHEAD_S or self.main.reaches(sign, now_s):
             return f"boot clocks {late_s:.0f} s apart"
-        return f"places {self.main.away_m(sign):.0f} m apart"
+        return f"positions {self.main.away_m(sign):.0f} m apart"
 
     def is_young(self, sign: Sign, now_s: float) -> bool:
         """Return True if a sign may be of this vehicle after a restart."""
@@ -311,9 +311,9 @@ class IdentityCourse:
         if not is_often or not (clocks_s > AHEAD_S or are_two_counters):
             return SignVerdict.GOES_ON
         self.difference = f"boot clocks {clocks_s:.0f} s apart"
-        if clocks_s <= AHEAD_S and other.place_ned_m and self.main.place_ned_m:
-            away_m = math.dist(other.place_ned_m, self.main.place_ned_m)
-            self.difference = f"places {away_m:.0f} m apart"
+        if clocks_s <= AHEAD_S and other.position_ned_m and self.main.position_ned_m:
+            away_m = math.dist(other.position_ned_m, self.main.position_ned_m)
+            self.difference = f"positions {away_m:.0f} m apart"
         return SignVerdict.TWO
 
     def _judge_other(self, sign: Sign, is_of_clock: bool, now_s: float) -> SignVerdict:
@@ -321,7 +321,7 @@ class IdentityCourse:
         main, other = self.main, self.other
         assert main is not None
         assert other is not None
-        left_s = main.place_s if is_of_clock else main.heard_s
+        left_s = main.position_s if is_of_clock else main.heard_s
         is_in_sequence = not any(broken_s >= left_s for broken_s in self._breaks)
         is_near = main.reaches(sign, now_s)
         late_s, silent_s = main.late_s(sign, now_s), other.first_s - main.heard_s

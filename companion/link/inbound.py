@@ -182,8 +182,8 @@ class VehicleInbound:
         """Return the events of a message; none if a newer one of its kind came before.
 
         Positions and attitudes are ordered by their stamps in their buffers; but a position that
-        was sent before the origin moved is of another frame. `number` is a message's place in the
-        order of sending, from the sequence numbers.
+        was sent before the origin moved is of another frame. `number` is a message's position in
+        the order of sending, from the sequence numbers.
         """
         if self._note_order(message, number, now_s):
             self.overtaken += 1
@@ -214,7 +214,7 @@ class VehicleInbound:
         return list(self._health.events(message, now_s))
 
     def _note_order(self, message: Message, number: int, now_s: float) -> bool:
-        """Note a message's place in the order; return True if it is too old to be used.
+        """Note a message's position in the order; return True if it is too old to be used.
 
         After a long delay a sequence number may be ambiguous. So a HEARTBEAT is withheld only if it
         shows what could give us control, never if it takes control away.
@@ -257,9 +257,9 @@ class VehicleInbound:
             )
         else:
             reading = self.clock.read(message.time_boot_ms / 1000.0, now_s)
-            place_enu_m = enu_from_ned((message.x, message.y, message.z))
+            position_enu_m = enu_from_ned((message.x, message.y, message.z))
             velocity_enu_mps = enu_from_ned((message.vx, message.vy, message.vz))
-            state = VehicleState(reading.time_s, place_enu_m, velocity_enu_mps)
+            state = VehicleState(reading.time_s, position_enu_m, velocity_enu_mps)
             event = VehicleMoved(now_s, state, order=number)
             fitted = self._compare_positions(message, now_s)
         if self.clock.is_wild:
@@ -331,8 +331,8 @@ class VehicleInbound:
         if isinstance(message, mavlink.MAVLink_local_position_ned_message):
             is_new = geodesy.note_local(stamp_s, enu_from_ned((message.x, message.y, message.z)))
         elif _is_on_earth(message.lat, message.lon):
-            place = (message.lat / 1e7, message.lon / 1e7, message.alt / 1000.0)
-            is_new = geodesy.note_global(stamp_s, place)
+            geodetic = (message.lat / 1e7, message.lon / 1e7, message.alt / 1000.0)
+            is_new = geodesy.note_global(stamp_s, geodetic)
         else:
             return []
         return self._origin_events(geodesy, now_s) if is_new else []
@@ -371,8 +371,8 @@ def origin_of(
     is_somewhere = _is_on_earth(message.latitude, message.longitude)
     if not is_somewhere or abs(message.altitude) > MAX_ALTITUDE_MM:
         return None
-    place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0)
-    return LocalOrigin(*place, autopilot.projection)
+    geodetic = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0)
+    return LocalOrigin(*geodetic, autopilot.projection)
 
 
 def _is_on_earth(latitude_e7: int, longitude_e7: int) -> bool:

@@ -113,7 +113,7 @@ def estimate_message(
     """Return TARGET_ESTIMATE: ENU to north and east, counter-clockwise to clockwise."""
     latitude_e7, longitude_e7 = INT32_UNKNOWN, INT32_UNKNOWN
     if origin is not None:
-        latitude_e7, longitude_e7, _ = _place_e7(estimate, origin)
+        latitude_e7, longitude_e7, _ = _position_e7(estimate, origin)
     east_m, north_m = estimate.position_enu_m
     (var_east, cov_north_east), (_, var_north) = estimate.covariance_m2
     other = estimate.alternative_enu_m
@@ -171,7 +171,7 @@ def icon_message(
     emitter_id: int, estimate: TargetEstimate, origin: LocalOrigin, now_s: float
 ) -> Message:
     """Return ADSB_VEHICLE: a point obstacle whose call sign has emitter and absolute R95."""
-    latitude_e7, longitude_e7, altitude_mm = _place_e7(estimate, origin)
+    latitude_e7, longitude_e7, altitude_mm = _position_e7(estimate, origin)
     name = f"E{emitter_id % 1000}:{min(estimate.absolute_r95_m, 99.0):.0f}m"
     age_s = max(0.0, now_s - estimate.time_s)
     return mavlink.MAVLink_adsb_vehicle_message(
@@ -202,7 +202,7 @@ def _with_floats_that_fit(message: AnyMessage) -> AnyMessage:
     return message
 
 
-def _place_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:
-    place = (*estimate.position_enu_m, estimate.height_m)
-    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(place)
+def _position_e7(estimate: TargetEstimate, origin: LocalOrigin) -> tuple[int, int, int]:
+    target_enu_m = (*estimate.position_enu_m, estimate.height_m)
+    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(target_enu_m)
     return round(latitude_deg * 1e7), round(longitude_deg * 1e7), round(altitude_m * 1e3)

@@ -234,8 +234,8 @@ class LinkAlarms:
                 )
                 self._others.add(other)
         if self._moves.take(binding.moves, now_s):
-            place = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
-            texts.append(f"the autopilot is heard from another address now: {place}")
+            address = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
+            texts.append(f"the autopilot is heard from another address now: {address}")
         if count := self._senders.take(binding.unknown_senders, now_s):
             texts.append(f"{count} frames with the autopilot's ids from elsewhere were ignored")
         if count := self._floods.take(dropped, now_s):

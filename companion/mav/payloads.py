@@ -108,7 +108,7 @@ def _offsets() -> dict[int, tuple[int, int | None]]:
     """Return the offsets of target system and component in the payload, by message id."""
     offsets: dict[int, tuple[int, int | None]] = {}
     for number, kind in mavlink.mavlink_map.items():
-        places: dict[str, int] = {}
+        offset_of: dict[str, int] = {}
         at = 0
         fields = zip(
             kind.ordered_fieldnames,
@@ -117,10 +117,10 @@ def _offsets() -> dict[int, tuple[int, int | None]]:
             strict=True,
         )
         for name, code, length in fields:
-            places[name] = at
+            offset_of[name] = at
             at += struct.calcsize(f"<{code}") * max(1, length)
-        if "target_system" in places:
-            offsets[number] = (places["target_system"], places.get("target_component"))
+        if "target_system" in offset_of:
+            offsets[number] = (offset_of["target_system"], offset_of.get("target_component"))
     offsets[mavlink.MAVLINK_MSG_ID_TIMESYNC] = (TARGETS_AT, TARGETS_AT + 1)
     return offsets
 

@@ -185,8 +185,8 @@ def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
     start, goal = space.nearest_allowed(begin), space.nearest_allowed(wanted.position_enu_m)
     if start is None or goal is None:
         fence = request.fence_enu_m
-        place = begin if fence is None else deepest_point(fence)
-        return Waypoint(place, WaypointReason.HOLD, NO_ROOM)
+        inside = begin if fence is None else deepest_point(fence)
+        return Waypoint(inside, WaypointReason.HOLD, NO_ROOM)
     if math.dist(begin, start) > START_TOLERANCE_M:
         return _detour(wanted, start, "back into free space")
     way = finder.way(start, goal)
@@ -203,6 +203,6 @@ def hold_position(request: PlanRequest, why: str) -> Waypoint:
     return route_to(request, Waypoint(request.begin_enu_m, WaypointReason.HOLD, why))
 
 
-def _detour(wanted: Waypoint, place: Point, what: str) -> Waypoint:
+def _detour(wanted: Waypoint, position: Point, what: str) -> Waypoint:
     detail = f"{what}: {wanted.detail}"
-    return replace(wanted, position_enu_m=place, reason=WaypointReason.DETOUR, detail=detail)
+    return replace(wanted, position_enu_m=position, reason=WaypointReason.DETOUR, detail=detail)

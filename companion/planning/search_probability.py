@@ -33,7 +33,7 @@ from companion.planning.search import SearchMemory, SearchParams, SearchPlanner
 from companion.planning.search_tracks import Leg, Track, expanding_square, lanes_over, sector_search
 from companion.search.outlook import LegTable, Outlook
 from companion.search.search_grid import Bools, Floats
-from companion.search.searched_flight import pieces_of, place_name
+from companion.search.searched_flight import pieces_of, sector_name
 
 FORECASTS_AT_ONCE = 6
 """Forecasts of a leg in one request: some 2 ms in plain Python, of a control tick's 50 ms."""
@@ -67,14 +67,14 @@ class CandidateLegs:
 
     legs: Track
     outlook: Outlook
-    place_enu_m: Point
+    end_enu_m: Point
     flown_m: float = 0.0
     gain: float = 0.0
     index: int = 0
     rate: float = 0.0
     """Greatest rate of success so far, 1/m."""
     first: tuple[float, float, str] = (0.0, 0.0, "")
-    """Gain, length and place of the first leg with the flight to it."""
+    """Gain, length and sector of the first leg with the flight to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Decision:
 
     outlook: Outlook
     """Expected when it begins."""
-    place_enu_m: Point
+    begin_enu_m: Point
     range_m: float
     """Distance that may be flown from there, the way home included."""
     waiting: tuple[Source, ...]
@@ -200,13 +200,13 @@ class ProbabilityPlanner(SearchPlanner):
         self,
         request: PlanRequest,
         outlook: Outlook,
-        place: Point,
+        begin_enu_m: Point,
         rest: Track,
         spent_m: float = 0.0,
     ) -> Decision:
-        pattern = self.pattern.track(replace(request, vehicle_enu_m=place), place, 0)
+        pattern = self.pattern.track(replace(request, vehicle_enu_m=begin_enu_m), begin_enu_m, 0)
         waiting: tuple[Source, ...] = (rest, pattern, *LEVELS)
-        return Decision(outlook, place, request.range_left_m - spent_m, waiting)
+        return Decision(outlook, begin_enu_m, request.range_left_m - spent_m, waiting)
 
     def _advanced_decision(self, request: PlanRequest, decision: Decision) -> Decision:
         for _ in range(FORECASTS_AT_ONCE):
@@ -225,8 +225,8 @@ class ProbabilityPlanner(SearchPlanner):
             found = _regions(decision.outlook, source)
             return replace(decision, waiting=(*found, *waiting))
         legs = source if isinstance(source, tuple) else self._lanes(request, decision, source)
-        candidate = CandidateLegs(legs, decision.outlook, decision.place_enu_m)
-        is_reachable = bool(legs) and _is_reachable(request, decision.place_enu_m, legs[0])
+        candidate = CandidateLegs(legs, decision.outlook, decision.begin_enu_m)
+        is_reachable = bool(legs) and _is_reachable(request, decision.begin_enu_m, legs[0])
         if is_reachable:
             return replace(decision, waiting=waiting, candidate=candidate)
         if decision.present is None:
@@ -234,7 +234,7 @@ class ProbabilityPlanner(SearchPlanner):
         return replace(decision, waiting=waiting)
 
     def _lanes(self, request: PlanRequest, decision: Decision, region: Region) -> Track:
-        grid, place = decision.outlook.grid, decision.place_enu_m
+        grid, begin_enu_m = decision.outlook.grid, decision.begin_enu_m
         centres = grid.centres_enu_m[region.cells]
         mass = decision.outlook.chance.sum(axis=1, dtype=float)[region.cells]
         middle, along_rad = _axis(centres, mass)
@@ -249,29 +249,29 @@ class ProbabilityPlanner(SearchPlanner):
             radius_m = max(spacing_m, float(np.hypot(*(centres - middle).T).max()))
             return sector_search(middle, radius_m, along_rad, spaces)
         heading_rad = along_rad + 0.5 * math.pi * region.turn
-        return lanes_over(centres, grid.cell_m, spacing_m, heading_rad, spaces, place)
+        return lanes_over(centres, grid.cell_m, spacing_m, heading_rad, spaces, begin_enu_m)
 
     def _forecast(self, request: PlanRequest, decision: Decision, it: CandidateLegs) -> Decision:
         """Return the decision with one more leg of the candidate forecast."""
         leg, before, table = it.legs[it.index], it.outlook, self._table
-        to_m = math.dist(it.place_enu_m, leg.start_enu_m)
+        to_m = math.dist(it.end_enu_m, leg.start_enu_m)
         range_m = decision.range_m - it.flown_m - to_m
         flown = _affordable(leg, range_m, request.home_enu_m)
         if flown.length_m < min(leg.length_m, self.pattern.spacing_m):
             return _with_result(decision, it)
         outlook = before
         if to_m > self.pattern.spacing_m:
-            outlook = outlook.after(it.place_enu_m, leg.start_enu_m, table)
+            outlook = outlook.after(it.end_enu_m, leg.start_enu_m, table)
         outlook = outlook.after(leg.start_enu_m, flown.end_enu_m, table)
         gain, flown_m = it.gain + before.left - outlook.left, it.flown_m + to_m + flown.length_m
         first = it.first
         if it.index == 0:
-            first = (gain, flown_m, place_name(outlook.grid, _gaining(before, outlook)))
+            first = (gain, flown_m, sector_name(outlook.grid, _gaining(before, outlook)))
         following = replace(
             it,
             legs=it.legs if flown is leg else (*it.legs[: it.index], flown),
             outlook=outlook,
-            place_enu_m=flown.end_enu_m,
+            end_enu_m=flown.end_enu_m,
             flown_m=flown_m,
             gain=gain,
             index=it.index + 1,
@@ -343,18 +343,18 @@ def _gaining(before: Outlook, after: Outlook) -> Bools:
     return cells
 
 
-def _axis(places: Floats, mass: Floats) -> tuple[Point, float]:
+def _axis(centres: Floats, mass: Floats) -> tuple[Point, float]:
     """Return the centre of mass, and the heading of the longer axis of the spread."""
-    middle = np.average(places, axis=0, weights=mass)
-    apart = places - middle
+    middle = np.average(centres, axis=0, weights=mass)
+    apart = centres - middle
     spread = apart.T @ apart
     heading_rad = 0.5 * math.atan2(2.0 * float(spread[0, 1]), float(spread[1, 1] - spread[0, 0]))
     return (float(middle[0]), float(middle[1])), heading_rad
 
 
-def _is_reachable(request: PlanRequest, place: Point, leg: Leg) -> bool:
+def _is_reachable(request: PlanRequest, begin: Point, leg: Leg) -> bool:
     finder = way_finder(request)
     if finder is None:
         return True
-    start = finder.space.nearest_allowed(place)
+    start = finder.space.nearest_allowed(begin)
     return start is not None and finder.way(start, leg.start_enu_m) is not None

@@ -113,10 +113,10 @@ def lanes_over(
     rows: list[Track] = []
     for index in range(count):
         offset_m = low_m + (index + 0.5) * width_m / count
-        places = np.sort(reach[lane_of == index])
-        cuts = np.flatnonzero(np.diff(places) > 2.0 * max(cell_m, spacing_m)) + 1
+        along_m = np.sort(reach[lane_of == index])
+        cuts = np.flatnonzero(np.diff(along_m) > 2.0 * max(cell_m, spacing_m)) + 1
         ends = [
-            (float(p[0]) - half_m, float(p[-1]) + half_m) for p in np.split(places, cuts) if len(p)
+            (float(p[0]) - half_m, float(p[-1]) + half_m) for p in np.split(along_m, cuts) if len(p)
         ]
         legs = [Leg(*(_at(along, m, aside, offset_m) for m in pair)) for pair in ends]
         rows.append(clipped(legs, spaces))
@@ -135,14 +135,14 @@ def expanding_square(
     spaces: Sequence[FreeSpace],
 ) -> Track:
     """Return a square spiral; `radius_m`, half its width, is rounded down to whole spacings."""
-    legs, place = [], datum_enu_m
+    legs, corner = [], datum_enu_m
     rings = math.floor(radius_m / spacing_m + 1e-9)
     for index in range(4 * rings + 1):
         is_last = index == 4 * rings  # it closes the square instead of beginning the next ring
         length_m = spacing_m * (2 * rings if is_last else index // 2 + 1)
-        end = _moved(place, heading_rad + 0.5 * math.pi * index, length_m)
-        legs.append(Leg(place, end))
-        place = end
+        end = _moved(corner, heading_rad + 0.5 * math.pi * index, length_m)
+        legs.append(Leg(corner, end))
+        corner = end
     return clipped(legs, spaces)
 
 
@@ -150,12 +150,12 @@ def sector_search(
     datum_enu_m: Point, radius_m: float, heading_rad: float, spaces: Sequence[FreeSpace]
 ) -> Track:
     """Return three triangles, nine legs of the same length, about the datum."""
-    legs, place, course_rad = [], datum_enu_m, heading_rad
+    legs, corner, course_rad = [], datum_enu_m, heading_rad
     for _ in range(3):
         for turn in range(3):
-            end = datum_enu_m if turn == 2 else _moved(place, course_rad, radius_m)
-            legs.append(Leg(place, end))
-            place = end
+            end = datum_enu_m if turn == 2 else _moved(corner, course_rad, radius_m)
+            legs.append(Leg(corner, end))
+            corner = end
             if turn < 2:  # it passes straight through the datum
                 course_rad += math.radians(120.0)
     return clipped(legs, spaces)
@@ -194,14 +194,14 @@ def _overlap(one: Leg, other: Leg, along: Point) -> bool:
 
 def _joined(cells: Sequence[_Cell], entry_enu_m: Point) -> Track:
     """Return the cells in order, each time the one with the nearest entrance."""
-    remaining, track, place = list(cells), list[Leg](), entry_enu_m
+    remaining, track, position = list(cells), list[Leg](), entry_enu_m
     while remaining:
         entrances = [(i, e) for i, cell in enumerate(remaining) for e in _entrances(cell)]
         index, entrance = min(
-            entrances, key=lambda found: round(math.dist(found[1][0].start_enu_m, place), 6)
+            entrances, key=lambda found: round(math.dist(found[1][0].start_enu_m, position), 6)
         )
         track += entrance
-        place = track[-1].end_enu_m
+        position = track[-1].end_enu_m
         del remaining[index]
     return tuple(track)
 
@@ -217,9 +217,9 @@ def _unit(heading_rad: float) -> Point:
     return (math.sin(heading_rad), math.cos(heading_rad))
 
 
-def _moved(place: Point, heading_rad: float, by_m: float) -> Point:
+def _moved(start: Point, heading_rad: float, by_m: float) -> Point:
     east, north = _unit(heading_rad)
-    return (place[0] + by_m * east, place[1] + by_m * north)
+    return (start[0] + by_m * east, start[1] + by_m * north)
 
 
 def _dot(a: Point, b: Point) -> float:

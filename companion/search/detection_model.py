@@ -7,11 +7,11 @@ log-normal shadowing: T. S. Rappaport, Wireless Communications, 2nd ed., section
 
 r is the error of the stated reach, the same wherever the vehicle and the emitter are; s the
 shadowing about the emitter, the same from everywhere; u the shadowing of the path, which changes
-with the vehicle's place over `correlation_m`; f Rice fading about its median, new with every
+with the vehicle's position over `correlation_m`; f Rice fading about its median, new with every
 answer. s and u have one half
 of the shadowing's variance each: two receivers that hear one transmitter have a correlation of 0.5
 (3GPP TR 36.814, table A.2.1.1-2). r + s is one offset of a cell in all that was flown, and u one of
-a cell and a place.
+a cell and a square of that side.
 """
 
 from __future__ import annotations

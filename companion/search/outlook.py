@@ -3,13 +3,13 @@
 Theory of operation. An `Outlook` keeps, for every cell, the probability that the emitter is there
 and was missed so far, split by the offset of the cell (error of the reach and shadowing about the
 emitter): a cell that was missed from near by probably has a low offset, and one more leg over it
-finds little. A leg is a row of independent places, one per correlation length of the shadowing. Its
-log probability of a miss is that of a place, integrated along the leg. For a straight leg it
-depends on the lateral distance of the cell and on the two ends, so that a table of the integral,
-by lateral distance and position along the leg, gives it with two look-ups per cell and offset: the
+finds little. A leg is a row of independent squares, one per correlation length of the shadowing.
+Its log probability of a miss is that of a square, integrated along the leg. For a straight leg it
+depends on the lateral distance of the cell and on the two ends, so that a table of the integral, by
+lateral distance and position along the leg, gives it with two look-ups per cell and offset: the
 lateral range curve of B. O. Koopman, Search and Screening, with its ends.
 
-Places that were listened from before count once, as in `SearchedArea`: a leg finds something only
+Squares that were listened from before count once, as in `SearchedArea`: a leg finds something only
 along the part of it that is new.
 """
 
@@ -40,7 +40,7 @@ MOST_CELLS = 2500
 UPFADE_DB = 10.0
 """Rayleigh fading exceeds its median by so much in 0.1 % of all answers."""
 LEVELS_DB = np.arange(-80.0, 81.0)
-"""Margins of the table of one place; beyond them nothing changes."""
+"""Margins of the table of one square; beyond them nothing changes."""
 STEPS = 160
 """Lateral distances of the table."""
 Floats32 = NDArray[np.float32]
@@ -57,7 +57,7 @@ class LegTable:
         farthest_m = model.reach_m * 10.0 ** (best_db / (10.0 * n))
         self.speed_mps = speed_mps
         self.side_m = side_m
-        """Correlation length of the shadowing: side of a place."""
+        """Correlation length of the shadowing: side of a square."""
         self._step_m = farthest_m / STEPS
         self._count = math.ceil(farthest_m / self._step_m)
         lateral = self._step_m * np.arange(self._count + 1)
@@ -65,7 +65,7 @@ class LegTable:
         squared = lateral[:, None] ** 2 + along[None, :] ** 2 + max(height_m, 1.0) ** 2
         margin_db = -5.0 * n * np.log10(squared / model.reach_m**2)
         answers = side_m / (max(speed_mps, 0.1) * model.interval_s)
-        missed = _place_log_miss(model, answers)
+        missed = _square_log_miss(model, answers)
         rate = np.stack(
             [np.interp(margin_db + offset, LEVELS_DB, missed) for offset in offsets_db], axis=2
         )
@@ -95,8 +95,8 @@ class LegTable:
         return np.clip(index, 0, 2 * self._count, out=index)
 
 
-def _place_log_miss(model: DetectionModel, answers: float) -> Floats:
-    """Return log probabilities that all answers of a place are missed, by `LEVELS_DB`."""
+def _square_log_miss(model: DetectionModel, answers: float) -> Floats:
+    """Return log probabilities that all answers in a square are missed, by `LEVELS_DB`."""
     received = received_share(LEVELS_DB, model.propagation.rice_k_db)
     missed = (1.0 - model.duty_cycle * received) ** answers
     mean = np.zeros(len(LEVELS_DB))
@@ -147,8 +147,8 @@ def _steps(start: Point, end: Point, side_m: float) -> list[float]:
     return [(index + 0.5) / count for index in range(count)]
 
 
-def _square(place: Point, side_m: float) -> Square:
-    return math.floor(place[0] / side_m), math.floor(place[1] / side_m)
+def _square(position: Point, side_m: float) -> Square:
+    return math.floor(position[0] / side_m), math.floor(position[1] / side_m)
 
 
 def _squares(start: Point, end: Point, side_m: float) -> Iterator[Square]:

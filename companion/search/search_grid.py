@@ -152,7 +152,7 @@ def are_inside(polygon: Polygon, points: Floats) -> Bools:
 LatLon = tuple[float, float]
 MOST_AWAY_KM = 20.0
 """Longest distance of a site from the vehicle's origin, beyond any flight: a file farther away is
-of another place."""
+of another site."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,9 +236,9 @@ def _of_raster(site: SiteRaster, origin: LocalOrigin, cell_m: float) -> SearchGr
     (west_m, south_m), (east_m, north_m) = box
     whole = ((west_m, south_m), (east_m, south_m), (east_m, north_m), (west_m, north_m))
     shape = grid_over([WeightedArea(whole)], cell_m)
-    places = shape.centres_enu_m
-    row = np.clip(rows * (places[:, 1] - south_m) / (north_m - south_m), 0, rows - 1).astype(int)
-    column = np.clip(columns * (places[:, 0] - west_m) / (east_m - west_m), 0, columns - 1)
+    centres = shape.centres_enu_m
+    row = np.clip(rows * (centres[:, 1] - south_m) / (north_m - south_m), 0, rows - 1).astype(int)
+    column = np.clip(columns * (centres[:, 0] - west_m) / (east_m - west_m), 0, columns - 1)
     sampled = site.weights[row, column.astype(int)]
     weights = shape.on_map(sampled, float("nan"))
     return grid_of_weights(shape.west_m, shape.south_m, shape.cell_m, weights)

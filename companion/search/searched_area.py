@@ -1,18 +1,18 @@
 """Coverage of a search so far: probability of detection by cell, and of success over the area.
 
-Theory of operation. Answers that were listened for in one place are not independent, because its
-shadowing is the same for all of them: so looks are combined by places, squares of the shadowing's
-correlation length. In a place, the log probabilities that an answer is missed add up for each
-offset of cell and path; its path offset is integrated out when the place is left, and the place
-counts once, whatever was listened for there. Over places the log probabilities add up for each
+Theory of operation. Answers that were listened for at one position are not independent, because its
+shadowing is the same for all of them: so looks are combined by squares of the shadowing's
+correlation length. In a square, the log probabilities that an answer is missed add up for each
+offset of cell and path; its path offset is integrated out when the square is left, and the square
+counts once, whatever was listened for there. Over squares the log probabilities add up for each
 offset of the cell, that is error of the reach and shadowing about the emitter; these are integrated
 out when the state is asked for:
 
-    miss(cell) = sum_k w_k prod_places sum_j v_j prod_looks (1 - p(margin + r_k + u_j))^answers
+    miss(cell) = sum_k w_k prod_squares sum_j v_j prod_looks (1 - p(margin + r_k + u_j))^answers
 
     POD = 1 - miss,  POA' = POA miss / sum(POA miss),  POS = sum(POA POD)
 
-A place that is entered again continues where it was left: its looks are applied again, and what it
+A square that is entered again continues where it was left: its looks are applied again, and what it
 counted for is taken back. That would take long at once, so work is queued, and `advance` does one
 piece of it, an update of all cells. Probabilities are renewed in blocks of cells for the same
 reason.
@@ -21,8 +21,8 @@ The searched area at first contact: prior of the emitter's position, and reach o
 
 Theory of operation of the prior. The emitter is less likely where a search did not hear it. The
 posterior of the grid, POA (1 - POD), is the prior of the first hypotheses. It is limited: alone it
-never decides between two places, because the emitter may also be outside of the area, and a wrong
-reach is an error common to all cells.
+never decides between two positions, because the emitter may also be outside of the area, and a
+wrong reach is an error common to all cells.
 
 Theory of operation of the reach. Until contact, the searched area keeps the log probability that an
 emitter in a cell was missed, for each offset of the cell: the sum of the error of the stated reach
@@ -60,7 +60,7 @@ Floats32 = NDArray[np.float32]
 HEIGHT_STEP_M = 5.0
 """Looks from heights that differ by less are one; at 20 m that is 2 dB straight below."""
 LISTENED_AGAIN_S = 5.0
-"""Period at which a place that is listened from continuously counts its looks."""
+"""Period at which a square that is listened from continuously counts its looks."""
 
 ALL_CELLS = slice(None)
 BLOCK = 5_000
@@ -94,21 +94,21 @@ class Look:
     """Number of answers of an emitter that is always awake."""
 
     @property
-    def place_m(self) -> PositionEnu:
+    def position_m(self) -> PositionEnu:
         """Position of the sensor."""
         return self.east_m, self.north_m, self.up_m
 
-    def add(self, place_m: PositionEnu, answers: float) -> None:
+    def add(self, position_m: PositionEnu, answers: float) -> None:
         """Add answers from a position near it."""
         self.answers += answers
         share = answers / self.answers
-        self.east_m += share * (place_m[0] - self.east_m)
-        self.north_m += share * (place_m[1] - self.north_m)
-        self.up_m += share * (place_m[2] - self.up_m)
+        self.east_m += share * (position_m[0] - self.east_m)
+        self.north_m += share * (position_m[1] - self.north_m)
+        self.up_m += share * (position_m[2] - self.up_m)
 
 
 @dataclass(slots=True)
-class _Place:
+class _SquareLooks:
     """The looks of one square of the shadowing's correlation length, by squares of a look."""
 
     looks: dict[tuple[int, int, int], Look] = field(default_factory=dict)
@@ -118,10 +118,10 @@ class _Place:
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """A piece of work: apply answers from a point, or (None) leave, or take back the place."""
+    """A piece of work: apply answers from a point, or (None) leave, or take back the square."""
 
     square: Square
-    place_m: PositionEnu | None = None
+    position_m: PositionEnu | None = None
     answers: float = 0.0
     is_return: bool = False
     is_contact: bool = False
@@ -138,14 +138,14 @@ class SearchedArea:
         self._centres = grid.centres_enu_m
         cells = len(grid.poa)
         self._left = np.zeros((cells, len(NODE_WEIGHTS)), dtype=np.float32)
-        """Log probability of a miss, of all places that were left, (cells, nodes)."""
+        """Log probability of a miss, of all squares that were left, (cells, nodes)."""
         self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
-        """Log probability of a miss at the place that is listened from, (cells, offsets)."""
+        """Log probability of a miss in the square that is listened from, (cells, offsets)."""
         self.missed: Floats32 = np.tile(GROUP_MATRIX.sum(axis=0), (cells, 1))
         """Probability of offset group and miss at the last renewal, (cells, groups)."""
         self._renewing = np.empty_like(self.missed)
         self._renewed_cells = 0
-        self._places: dict[Square, _Place] = {}
+        self._looks: dict[Square, _SquareLooks] = {}
         self._square: Square | None = None
         """Square of the last look; work may still be behind."""
         self._here_square: Square | None = None
@@ -157,20 +157,20 @@ class SearchedArea:
         self.missed_before_contact: Floats32 | None = None
         """`log_missed` at the first contact, once the work until then is done."""
 
-    def listen(self, place_m: PositionEnu, seconds: float) -> None:
+    def listen(self, position_m: PositionEnu, seconds: float) -> None:
         """Note that nothing was heard for a time at a position; up is above the ground."""
         answers = seconds / self.model.interval_s
-        key = _key_of(place_m, self._spacing_m)
+        key = _key_of(position_m, self._spacing_m)
         pending = self._pending
         is_due = self._pending_s >= LISTENED_AGAIN_S
         if pending is not None and (key != self._pending_key or is_due):
             self._commit(pending, self._pending_key)
             pending = None
         if pending is None:
-            self._pending, self._pending_key = Look(*place_m, answers), key
+            self._pending, self._pending_key = Look(*position_m, answers), key
             self._pending_s = seconds
         else:
-            pending.add(place_m, answers)
+            pending.add(position_m, answers)
             self._pending_s += seconds
 
     def note_contact(self) -> None:
@@ -182,19 +182,19 @@ class SearchedArea:
     def take(self, looks: Iterable[Look]) -> None:
         """Process looks of an earlier flight, and do all the work."""
         for look in looks:
-            self._commit(look, _key_of(look.place_m, self._spacing_m))
+            self._commit(look, _key_of(look.position_m, self._spacing_m))
             self.finish()
 
     @property
     def looks(self) -> list[Look]:
         """All looks so far; those from one point count as one."""
-        looks = [look for place in self._places.values() for look in place.looks.values()]
+        looks = [look for square in self._looks.values() for look in square.looks.values()]
         return looks if self._pending is None else [*looks, self._pending]
 
     @property
     def squares(self) -> Iterable[Square]:
         """Squares of the shadowing's correlation length that the radio has listened from."""
-        return self._places.keys()
+        return self._looks.keys()
 
     @property
     def has_work(self) -> bool:
@@ -209,16 +209,16 @@ class SearchedArea:
         self._here_square = piece.square
         if piece.is_contact:
             self.missed_before_contact = self.log_missed()
-        elif piece.place_m is not None:
-            index = self.table.index_of(self.model.margin_db(self._centres, piece.place_m))
+        elif piece.position_m is not None:
+            index = self.table.index_of(self.model.margin_db(self._centres, piece.position_m))
             self._here += np.float32(piece.answers) * self.table.rows[index]
             np.maximum(self._here, np.float32(LEAST_LOG), out=self._here)
         elif piece.is_return:
             self._left -= self._counted()
-            self._places[piece.square].is_counted = False
+            self._looks[piece.square].is_counted = False
         else:
             self._left += self._counted()
-            self._places[piece.square].is_counted = True
+            self._looks[piece.square].is_counted = True
             self._here.fill(0.0)
         return True
 
@@ -253,25 +253,25 @@ class SearchedArea:
             self._pending = None
 
     def _commit(self, look: Look, key: tuple[int, int, int]) -> None:
-        """Queue the work of a look, and of the change of places that it means."""
+        """Queue the work of a look, and of the change of squares that it means."""
         side_m = self.model.propagation.correlation_m
         square = (math.floor(look.east_m / side_m), math.floor(look.north_m / side_m))
-        place = self._places.setdefault(square, _Place())
+        own = self._looks.setdefault(square, _SquareLooks())
         if square != self._square:
             if self._square is not None:
                 self._work.append(_Piece(self._square))
             self._square = square
-            self._work.extend(_Piece(square, n.place_m, n.answers) for n in place.looks.values())
-            if place.looks:
+            self._work.extend(_Piece(square, n.position_m, n.answers) for n in own.looks.values())
+            if own.looks:
                 self._work.append(_Piece(square, is_return=True))
-        self._work.append(_Piece(square, look.place_m, look.answers))
-        if key in place.looks:
-            place.looks[key].add(look.place_m, look.answers)
+        self._work.append(_Piece(square, look.position_m, look.answers))
+        if key in own.looks:
+            own.looks[key].add(look.position_m, look.answers)
         else:
-            place.looks[key] = Look(*look.place_m, look.answers)
+            own.looks[key] = Look(*look.position_m, look.answers)
 
     def _counted(self, block: slice = ALL_CELLS) -> Floats32:
-        """(cells, nodes) log probability of a miss of the place that is listened from."""
+        """(cells, nodes) log probability of a miss in the square that is listened from."""
         missed = np.exp(self._here[block]) @ self._spread
         counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(LEAST_LOG))))
         return counted
@@ -279,11 +279,11 @@ class SearchedArea:
     def log_missed(self, block: slice = ALL_CELLS) -> Floats32:
         """(cells, nodes) log probability that an emitter was missed, for each offset of its cell.
 
-        Of a place that is entered again, what it counted for before stays until it was taken back.
+        Of a square that is entered again, what it counted for before stays until it was taken back.
         """
         left = self._left[block]
         square = self._here_square
-        if square is not None and not self._places[square].is_counted:
+        if square is not None and not self._looks[square].is_counted:
             return left + self._counted(block)
         return left.copy()
 
@@ -333,8 +333,8 @@ def _state(grid: SearchGrid, missed: Floats) -> SearchState:
     return SearchState(grid, 1.0 - np.clip(missed, 0.0, 1.0))
 
 
-def _key_of(place_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
-    east, north, up = place_m
+def _key_of(position_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
+    east, north, up = position_m
     return (
         math.floor(east / spacing_m),
         math.floor(north / spacing_m),
@@ -343,8 +343,8 @@ def _key_of(place_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
 
 
 LEAST_ODDS = 0.1
-"""Least odds of a place to the likeliest one: two such places are still ambiguous, as the estimate
-counts it (a second place of 5 % or more)."""
+"""Least odds of a position to the likeliest one: two such positions are still ambiguous, as the
+estimate counts it (a second position of 5 % or more)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,14 +364,14 @@ class SearchPrior:
         density = state.grid.on_map(left, float(left.mean()))
         return cls(state.grid, np.log(np.maximum(density / density.max(), LEAST_ODDS)))
 
-    def log_at(self, place_enu_m: Point) -> float:
-        """Return the log of the odds of a place to the likeliest one.
+    def log_at(self, position_enu_m: Point) -> float:
+        """Return the log of the odds of a position to the likeliest one.
 
         Beyond the map it is as at its border: the fence rarely ends where the emitter may be.
         """
         grid = self.grid
         rows, columns = self.log_map.shape
-        east, north = (p - s for p, s in zip(place_enu_m, self.shift_en_m, strict=True))
+        east, north = (p - s for p, s in zip(position_enu_m, self.shift_en_m, strict=True))
         row = math.floor((north - grid.south_m) / grid.cell_m)
         column = math.floor((east - grid.west_m) / grid.cell_m)
         return float(self.log_map[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])

@@ -139,7 +139,7 @@ def gaps_of(state: SearchState) -> list[Gap]:
     """Return the gaps that are worth a word, that with the greatest chance first."""
     grid = state.grid
     found = [
-        Gap(place_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)
+        Gap(sector_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)
         for cells in pieces_of(grid, state.pod < GAP_POD)
     ]
     worthy = [gap for gap in found if gap.poa >= LEAST_GAP_SHARE]
@@ -168,7 +168,7 @@ def pieces_of(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:
         yield cells
 
 
-def place_name(grid: SearchGrid, cells: Bools) -> str:
+def sector_name(grid: SearchGrid, cells: Bools) -> str:
     """Describe the position of cells in the area: `NE corner`, `W side`, `centre`."""
     if cells.mean() > 0.5:
         return "most of the area"
@@ -302,8 +302,8 @@ def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
 def _shift_m(origin: LocalOrigin | None, base: LocalOrigin | None) -> PositionEnu:
     if origin is None or base is None:
         return (0.0, 0.0, 0.0)
-    place = origin.geodetic_from_enu((0.0, 0.0, 0.0))
-    return base.enu_from_geodetic(*place)
+    own_origin = origin.geodetic_from_enu((0.0, 0.0, 0.0))
+    return base.enu_from_geodetic(*own_origin)
 
 
 def statement(flight: SearchedFlight, state: SearchState | None) -> str:

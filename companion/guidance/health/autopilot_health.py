@@ -6,11 +6,12 @@ the estimates of the target are reported, and the mode that follows a report is 
 the vehicle is handed back at once by requesting the return, and only once in a flight: an operator
 who takes control to us again knows the charge, and the vehicle then holds.
 
-An autopilot that doubts its position flies our setpoints to the wrong place, and the ranging is
-placed wrongly too. So the vehicle holds as soon as that is known, and is handed back when it lasts.
-The estimator's verdict decides, not one of its inputs: a receiver that loses its fix while another
-one has one changes nothing. If all lost it, an estimator that still has a position after the
-longest dead reckoning of the autopilots has another source, and the plan continues, slower.
+An autopilot that doubts its position flies our setpoints to the wrong position, and the ranging is
+assigned to wrong positions too. So the vehicle holds as soon as that is known, and is handed back
+when it lasts. The estimator's verdict decides, not one of its inputs: a receiver that loses its fix
+while another one has one changes nothing. If all lost it, an estimator that still has a position
+after the longest dead reckoning of the autopilots has another source, and the plan continues,
+slower.
 
 "Landed" in our mode and in our altitude band is doubted: the vehicle holds, for as long as its
 throttle does not confirm it.

@@ -11,7 +11,7 @@ and the latest time at which that path was there shows how many of our setpoints
   of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo far
   off our path is therefore remembered for half a minute; one close to it may be the autopilot's
   rounding, and is soon forgotten. While we pause, as on a clock that slipped, the autopilot echoes
-  the place where it stays by itself, which is no foreign setpoint.
+  the position where it stays by itself, which is no foreign setpoint.
 - An echo on the path, but where it was seconds ago, means that our setpoints no longer arrive. So
   does a missing echo where there was one.
 
@@ -96,17 +96,17 @@ class EchoWatch(Watch):
         if self._control_s is not None:
             self.begin(now_s)
 
-    def note_setpoint(self, place_enu_m: PositionEnu, now_s: float) -> None:
+    def note_setpoint(self, setpoint_enu_m: PositionEnu, now_s: float) -> None:
         """Record a setpoint that was sent."""
         if now_s - self._sent_s > PAUSE_S:
             self._resumed_s = now_s
             self._forget_echoes()
         self._sent_s = now_s
-        if self._path and self._path[-1][2] == place_enu_m:
+        if self._path and self._path[-1][2] == setpoint_enu_m:
             from_s, _, _ = self._path.pop()
-            self._path.append((from_s, now_s, place_enu_m))
+            self._path.append((from_s, now_s, setpoint_enu_m))
         else:
-            self._path.append((now_s, now_s, place_enu_m))
+            self._path.append((now_s, now_s, setpoint_enu_m))
         while self._path[0][1] < now_s - MEMORY_S:
             self._path.popleft()
 
@@ -171,19 +171,19 @@ class EchoWatch(Watch):
         silent_s = now_s - self._foreign_s[-1][0]
         return span_s >= FOREIGN_SPAN_S and silent_s <= max(NEAR_S, span_s)
 
-    def _last_on_path_s(self, place_enu_m: PositionEnu | None) -> tuple[float | None, float]:
+    def _last_on_path_s(self, position_enu_m: PositionEnu | None) -> tuple[float | None, float]:
         """Return when our path was last at a position, None if never, and the distance to it."""
-        if place_enu_m is None:
+        if position_enu_m is None:
             return None, 0.0
         following: PositionEnu | None = None
         least_m = math.inf
-        for _, until_s, place in reversed(self._path):
-            end = place if following is None else following
-            distance_m = _distance_m(place_enu_m, place, end)
+        for _, until_s, start in reversed(self._path):
+            end = start if following is None else following
+            distance_m = _distance_m(position_enu_m, start, end)
             if distance_m <= TOLERANCE_M:
                 return until_s, distance_m
             least_m = min(least_m, distance_m)
-            following = place
+            following = start
         return None, least_m
 
 

@@ -3,9 +3,9 @@
 Theory of operation. An estimator that resets moves the reported position, or the heading, at once,
 while the vehicle stays where it is. MAVLink's local position has no counter for that, so each
 report is compared with the one before and the velocities of both. Measurements of the target are
-relative to the vehicle, so a jump shifts the target, and every place that it was measured from, by
-as much: then the old measurements agree with the new ones, and it does not matter which of the two
-positions was the right one. The vehicle holds until its navigation was steady for a while, and
+relative to the vehicle, so a jump shifts the target, and every position that it was measured from,
+by as much: then the old measurements agree with the new ones, and it does not matter which of the
+two positions was the right one. The vehicle holds until its navigation was steady for a while, and
 measurements until then are not fused. Navigation that keeps jumping leads to a hand-back.
 
 A local frame that gets another origin is such a step of known size: the origin gives it, so there
@@ -131,9 +131,9 @@ def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> 
     """Return True if the flight could leave the fence or hit the ground if the jump was wrong."""
     if jump_enu_m[2] > limits.envelope.altitude_min_m:
         return True
-    fence, place = limits.fence, motion.position_enu_m[:2]
+    fence, position = limits.fence, motion.position_enu_m[:2]
     if fence is not None:
-        way_m = math.dist(place, fence.nearest_allowed(place))
+        way_m = math.dist(position, fence.nearest_allowed(position))
         if min(way_m, math.hypot(*jump_enu_m[:2])) > fence.margin_m:
             return True
     height_m = motion.position_enu_m[2] - motion.home_enu_m[2]

@@ -99,16 +99,16 @@ class GeodesyFit:
         self._before, self._latest = self._latest, (stamp_s, enu_m)
         return self._compare()
 
-    def note_global(self, stamp_s: float, place: tuple[float, float, float]) -> bool:
+    def note_global(self, stamp_s: float, geodetic: tuple[float, float, float]) -> bool:
         """Process degrees and altitude in metres; return True if the fit changed."""
-        self._waiting = (stamp_s, place)
+        self._waiting = (stamp_s, geodetic)
         return self._compare()
 
     def _compare(self) -> bool:
         """Compare a global position once there are local ones before and after it."""
         if self._waiting is None or self._before is None or self._latest is None:
             return False
-        (stamp_s, place), (from_s, start) = self._waiting, self._before
+        (stamp_s, geodetic), (from_s, start) = self._waiting, self._before
         until_s, end = self._latest
         if stamp_s > until_s:
             return False
@@ -117,10 +117,10 @@ class GeodesyFit:
             return False
         share = (stamp_s - from_s) / (until_s - from_s)
         east, north, up = (a + share * (b - a) for a, b in zip(start, end, strict=True))
-        return self._take(place, (east, north, up))
+        return self._take(geodetic, (east, north, up))
 
-    def _take(self, place: tuple[float, float, float], local: PositionEnu) -> bool:
-        projected = self.reported.enu_from_geodetic(*place)
+    def _take(self, geodetic: tuple[float, float, float], local: PositionEnu) -> bool:
+        projected = self.reported.enu_from_geodetic(*geodetic)
         (e, n, u), (pe, pn, pu) = local, projected
         before_m, self._rest_m = self._rest_m, (e - pe, n - pn, u - pu)
         off_m = math.hypot(*self._rest_m)
@@ -130,11 +130,13 @@ class GeodesyFit:
         for line, projected_m, local_m in zip(self._lines, projected, local, strict=True):
             line.add(projected_m, local_m)
         for number, candidate in enumerate(self._candidates):
-            self._squares_m2[number] += math.dist(candidate.enu_from_geodetic(*place), local) ** 2
+            self._squares_m2[number] += (
+                math.dist(candidate.enu_from_geodetic(*geodetic), local) ** 2
+            )
         self._pairs += 1
         fitted = [p + line.at_m(p) for line, p in zip(self._lines, projected, strict=True)]
         least_m = LEAST_OFF_M if self.origin == self.reported else RENEW_OFF_M
-        is_near = math.dist(fitted, self.origin.enu_from_geodetic(*place)) <= least_m
+        is_near = math.dist(fitted, self.origin.enu_from_geodetic(*geodetic)) <= least_m
         if self._pairs < FEWEST_PAIRS or is_near:
             return False
         before, self.origin = self.origin, self._best(fitted[2] - projected[2])

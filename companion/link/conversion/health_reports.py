@@ -86,7 +86,7 @@ class HealthReports:
                 event = _sticks(message, now_s)
             case mavlink.MAVLink_position_target_local_ned_message():
                 event = _echo(message, now_s)
-        return [*([] if event is None else [event]), *_place_rated(message, now_s)]
+        return [*([] if event is None else [event]), *_position_accuracy(message, now_s)]
 
     def _verdict(
         self,
@@ -158,7 +158,7 @@ BEST_SIGMA_M, WORST_SIGMA_M = 0.01, 1000.0
 """Limits of a reported accuracy: no receiver is better, and beyond the other one it is useless."""
 
 
-def _place_rated(message: Message, now_s: float) -> list[Event]:
+def _position_accuracy(message: Message, now_s: float) -> list[Event]:
     """Return the position accuracy that a message reports, or that it is unknown."""
     match message:
         case mavlink.MAVLink_gps_raw_int_message():
@@ -188,10 +188,10 @@ def _echo(
     """Return the echoed target; None for one in another frame, which cannot be compared."""
     if message.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
         return None
-    place = (message.x, message.y, message.z)
+    position_ned_m = (message.x, message.y, message.z)
     is_position = not message.type_mask & dialect.POSITION_IGNORE
-    if any(abs(v) > MAX_COORDINATE_M for v in place):
+    if any(abs(v) > MAX_COORDINATE_M for v in position_ned_m):
         return None
-    if is_position and all(map(math.isfinite, place)):
-        return SetpointEchoed(now_s, enu_from_ned(place))
+    if is_position and all(map(math.isfinite, position_ned_m)):
+        return SetpointEchoed(now_s, enu_from_ned(position_ned_m))
     return SetpointEchoed(now_s, None)

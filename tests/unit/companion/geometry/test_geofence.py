@@ -13,9 +13,9 @@ from companion.geometry.geofence import (
     LatLon,
     LocalFence,
     NamedArea,
+    corner_problem,
     difference,
     fence_of,
-    place_problem,
 )
 from companion.geometry.polygons import Point, contains, depth_m
 from companion.guard.limits import Fence
@@ -100,7 +100,7 @@ class TestLocal:
     ],
 )
 def test_places(latitude_deg: float, longitude_deg: float, problem: str | None) -> None:
-    found = place_problem(latitude_deg, longitude_deg)
+    found = corner_problem(latitude_deg, longitude_deg)
     assert found is None if problem is None else problem in str(found)
 
 
