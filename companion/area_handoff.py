@@ -99,10 +99,10 @@ def _track(flight: SearchedFlight) -> list[list[float]]:
     origin = flight.origin
     if origin is None:
         return [[east, north, t_s] for t_s, east, north, _ in flight.track]
-    places = [origin.geodetic_from_enu(point[1:]) for point in flight.track]
+    geodetic = [origin.geodetic_from_enu(point[1:]) for point in flight.track]
     return [
         [round(lon, DECIMALS), round(lat, DECIMALS), point[0]]
-        for (lat, lon, _), point in zip(places, flight.track, strict=True)
+        for (lat, lon, _), point in zip(geodetic, flight.track, strict=True)
     ]
 
 
@@ -112,7 +112,7 @@ def geojson_of(
     """Return a feature collection: outlines of POD, gaps, and the track of each flight."""
     features = [] if state is None else list(_areas(state, origin))
     for flight in flights:
-        line = [place[:2] for place in _track(flight)]
+        line = [position[:2] for position in _track(flight)]
         if flight.origin is not None and len(line) >= 2:
             about = {
                 "kind": "track",
@@ -147,14 +147,14 @@ def grid_shapes(state: SearchState, level: float, origin: LocalOrigin) -> list[A
 def _shape(outside: Corners, holes: Sequence[Corners], origin: LocalOrigin) -> list[Any]:
     rings = []
     for ring in (outside, *holes):
-        places = [_lon_lat(corner, origin) for corner in (*ring, ring[0])]
-        rings.append([[round(lon, DECIMALS), round(lat, DECIMALS)] for lon, lat in places])
+        corners = [_lon_lat(corner, origin) for corner in (*ring, ring[0])]
+        rings.append([[round(lon, DECIMALS), round(lat, DECIMALS)] for lon, lat in corners])
     return rings
 
 
-def _lon_lat(place: Point, origin: LocalOrigin) -> Point:
+def _lon_lat(position_enu_m: Point, origin: LocalOrigin) -> Point:
     """Return degrees; longitudes continue beyond +-180 degrees, so that shapes stay whole."""
-    latitude, longitude, _ = origin.geodetic_from_enu((*place, 0.0))
+    latitude, longitude, _ = origin.geodetic_from_enu((*position_enu_m, 0.0))
     return origin.longitude_deg + _wrapped(longitude - origin.longitude_deg), latitude
 
 
@@ -222,8 +222,8 @@ def kml_of(flight: SearchedFlight, state: SearchState, origin: LocalOrigin) -> s
     placemark = ET.SubElement(document, "Placemark")
     add_text(placemark, "name", "Track")
     line = ET.SubElement(placemark, "LineString")
-    places = " ".join(f"{lon:.7f},{lat:.7f}" for lon, lat, _ in _track(flight))
-    add_text(line, "coordinates", places)
+    positions = " ".join(f"{lon:.7f},{lat:.7f}" for lon, lat, _ in _track(flight))
+    add_text(line, "coordinates", positions)
     return xml_text(root)
 
 

@@ -284,9 +284,9 @@ def _add_tiles(commands: Commands) -> None:
     parts = tiles.add_subparsers(dest="tiles_command", metavar="{fetch}", required=True)
     fetch = parts.add_parser(
         "fetch",
-        help="get the tiles about a place from a server that you name",
-        description="Get the tiles about a place from a server. You name it, so its terms of use "
-        "are yours to keep; many public servers forbid fetching ahead.",
+        help="get the tiles about a position from a server that you name",
+        description="Get the tiles about a position from a server. You name it, so its terms of "
+        "use are yours to keep; many public servers forbid fetching ahead.",
     )
     fetch.add_argument("url", metavar="URL", help="with {z}, {x} and {y} in it")
     _option(fetch, "--around", "LAT,LON", "centre, degrees", required=True)
@@ -438,13 +438,13 @@ FLIGHT_OPTIONS = (
 SHARED_OPTIONS = "config speed web web_tiles"
 
 
-def check_place_of_options(arguments: argparse.Namespace) -> None:
+def check_order_of_options(arguments: argparse.Namespace) -> None:
     """Refuse options of flying in front of a subcommand, which would ignore them."""
     if arguments.command is None:
         return
-    places = {name: name for name in FLIGHT_OPTIONS.split()}
-    places |= {name: f"fly_{name}" for name in SHARED_OPTIONS.split()}
-    for name, place in places.items():
-        if getattr(arguments, place) not in (None, [], False):
+    attributes = {name: name for name in FLIGHT_OPTIONS.split()}
+    attributes |= {name: f"fly_{name}" for name in SHARED_OPTIONS.split()}
+    for name, attribute in attributes.items():
+        if getattr(arguments, attribute) not in (None, [], False):
             option, word = f"--{name.replace('_', '-')}", arguments.command
             raise ConfigError(f"{option} in front of `{word}` has no effect; put options after it")

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
-from companion.arguments import argument_parser, check_place_of_options
+from companion.arguments import argument_parser, check_order_of_options
 from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED, CompanionError
 from companion.view.log_lines import set_up_logging
 
@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None, on_loaded: Callable[[], object] = la
 def _run(argv: Sequence[str] | None, on_loaded: Callable[[], object]) -> int:
     arguments = argument_parser().parse_args(argv)
     set_up_logging(quiet=arguments.quiet)
-    check_place_of_options(arguments)
+    check_order_of_options(arguments)
     loaders = {
         "demo": _demo,
         "replay": _replay,

@@ -5,7 +5,7 @@ Units are in the names. Positions are local east-north-up metres about the autop
 axis. A quantity that was not measured is `None`, never NaN.
 
 Parameter records are frozen too: every package declares its own as a subclass of `Params`;
-`companion.config` composes them and reads them from YAML, so defaults and bounds live in one place,
+`companion.config` composes them and reads them from YAML, so defaults and bounds are defined once,
 beside the code that uses them.
 """
 

@@ -16,7 +16,7 @@ class CompanionError(Exception):
 
 
 class ConfigError(CompanionError):
-    """A configuration, scenario or data file is wrong; the message names the file and the place."""
+    """A configuration, scenario or data file is wrong; the message names file and key."""
 
 
 class LinkError(CompanionError):

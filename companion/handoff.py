@@ -1,12 +1,12 @@
 """A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2), CoT and MGRS text.
 
-GeoJSON and KML hold the place, its 95 % ellipse and the second place; Google Earth, ATAK and
+GeoJSON and KML hold the position, its 95 % ellipse and the second position; Google Earth, ATAK and
 QGroundControl open the KML. Cursor on Target (CoT) is the format of TAK's maps, MGRS the grid text
 that ground teams read out over the radio.
 
-A ground team goes to the place with its own receiver, whose error is independent of the vehicle's.
-So ellipses, the grid and the radius that comes first are absolute; the relative radius is added,
-for sending the vehicle back.
+A ground team goes to the position with its own receiver, whose error is independent of the
+vehicle's. So ellipses, the grid and the radius that comes first are absolute; the relative radius
+is added, for sending the vehicle back.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Handoff:
     emitter: str
     """Id or name of the emitter, as the operator knows it; any text, the formats escape it."""
     state: str
-    place_deg: Degrees
+    position_deg: Degrees
     altitude_m: float
     """Altitude of the emitter above mean sea level, assumed or estimated."""
     r95_m: float
@@ -86,7 +86,7 @@ def handoff_of(
     return Handoff(
         emitter=emitter,
         state=estimate.state.value,
-        place_deg=degrees(estimate.position_enu_m),
+        position_deg=degrees(estimate.position_enu_m),
         altitude_m=origin.altitude_m + height_m,
         r95_m=estimate.r95_m,
         absolute_r95_m=estimate.absolute_r95_m,
@@ -99,14 +99,14 @@ def handoff_of(
     )
 
 
-def degrees_text(place: Degrees) -> str:
+def degrees_text(position_deg: Degrees) -> str:
     """Return a WGS84 position in decimal degrees, latitude first, to about a decimetre."""
-    return f"{place[0]:.6f}, {place[1]:.6f}"
+    return f"{position_deg[0]:.6f}, {position_deg[1]:.6f}"
 
 
-def minutes_text(place: Degrees) -> str:
+def minutes_text(position_deg: Degrees) -> str:
     """Return a WGS84 position in degrees and minutes, to 2 m: `47° 23.881' N, 8° 32.767' E`."""
-    return f"{_minutes(place[0], 'NS')}, {_minutes(place[1], 'EW')}"
+    return f"{_minutes(position_deg[0], 'NS')}, {_minutes(position_deg[1], 'EW')}"
 
 
 def _minutes(angle_deg: float, signs: str) -> str:
@@ -119,12 +119,12 @@ MIN_DIGITS, MAX_DIGITS = 1, 5
 """Digit pairs of a grid reference: one is 10 km, five are 1 m."""
 
 
-def geo_uri(place: Degrees) -> str:
+def geo_uri(position_deg: Degrees) -> str:
     """Return a WGS84 position as phones open it on their maps (RFC 5870), to about a decimetre."""
-    return f"geo:{place[0]:.6f},{place[1]:.6f}"
+    return f"geo:{position_deg[0]:.6f},{position_deg[1]:.6f}"
 
 
-def mgrs_text(place: Degrees, r95_m: float) -> str:
+def mgrs_text(position_deg: Degrees, r95_m: float) -> str:
     """Return a WGS84 position as MGRS with spaces, no finer than its radius: `32T PT 6894 3510`.
 
     The named square contains the position, and is at most as large as R95 (1 m at least). The poles
@@ -132,7 +132,7 @@ def mgrs_text(place: Degrees, r95_m: float) -> str:
     """
     digits = MAX_DIGITS - math.floor(math.log10(min(max(r95_m, 1.0), 1e4)))
     digits = min(max(digits, MIN_DIGITS), MAX_DIGITS)
-    text = mgrs.MGRS().toMGRS(*place, MGRSPrecision=digits).lstrip("0")
+    text = mgrs.MGRS().toMGRS(*position_deg, MGRSPrecision=digits).lstrip("0")
     head, east, north = text[: -2 * digits], text[-2 * digits : -digits], text[-digits:]
     return f"{head[:-2]} {head[-2:]} {east} {north}"
 
@@ -165,7 +165,7 @@ def _features(handoff: Handoff) -> list[dict[str, object]]:
     # A ring is closed, and its inside lies to the left (RFC 7946 section 3.1.6).
     ring = [_position(point) for point in (*handoff.ellipse_deg, handoff.ellipse_deg[0])]
     shapes: list[tuple[str, str, list[Any]]] = [
-        ("estimate", "Point", _position(handoff.place_deg)),
+        ("estimate", "Point", _position(handoff.position_deg)),
         ("ellipse_95", "Polygon", [ring]),
     ]
     if handoff.alternative_deg is not None:
@@ -217,11 +217,11 @@ def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
         add_text(element, "description", about)
         return element
 
-    points = {"": handoff.place_deg, ", second place": handoff.alternative_deg}
-    for suffix, place in points.items():
-        if place is not None:
+    points = {"": handoff.position_deg, ", second position": handoff.alternative_deg}
+    for suffix, position_deg in points.items():
+        if position_deg is not None:
             point = ET.SubElement(placemark(suffix), "Point")
-            add_text(point, "coordinates", _coordinates(place))
+            add_text(point, "coordinates", _coordinates(position_deg))
     ellipse = placemark(", 95 %")
     add_text(ellipse, "styleUrl", "#ellipse")
     boundary = ET.SubElement(ET.SubElement(ellipse, "Polygon"), "outerBoundaryIs")
@@ -241,9 +241,9 @@ def xml_text(root: ET.Element) -> str:
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _coordinates(place: Degrees) -> str:
+def _coordinates(position_deg: Degrees) -> str:
     """Return longitude, latitude; without an altitude a viewer lays it on the ground."""
-    return f"{place[1]:.7f},{place[0]:.7f}"
+    return f"{position_deg[1]:.7f},{position_deg[0]:.7f}"
 
 
 def printable(text: str) -> str:
@@ -279,8 +279,8 @@ def cot_event(handoff: Handoff, sender: str) -> bytes:
     ET.SubElement(
         event,
         "point",
-        lat=f"{handoff.place_deg[0]:.7f}",
-        lon=f"{handoff.place_deg[1]:.7f}",
+        lat=f"{handoff.position_deg[0]:.7f}",
+        lon=f"{handoff.position_deg[1]:.7f}",
         hae=COT_UNKNOWN,  # the altitude is above sea level, not above the ellipsoid
         ce=f"{handoff.absolute_r95_m:.1f}",
         le=COT_UNKNOWN,
@@ -318,8 +318,8 @@ class HandoffFiles:
 
 def _line(handoff: Handoff) -> str:
     """Return one emitter in one line, to be read out over the radio."""
-    grid = mgrs_text(handoff.place_deg, handoff.absolute_r95_m)
+    grid = mgrs_text(handoff.position_deg, handoff.absolute_r95_m)
     return (
-        f"emitter {handoff.emitter}: {grid}  ({degrees_text(handoff.place_deg)}), "
+        f"emitter {handoff.emitter}: {grid}  ({degrees_text(handoff.position_deg)}), "
         f"{handoff.radii}, {handoff.state}, {handoff.time_utc}\n"
     )

@@ -96,8 +96,8 @@ def _digest_of(package: Path, variants: Variants) -> str:
 def installed() -> tuple[Any, Variants] | None:
     """Return the kernels that are installed beside the program."""
     spec = importlib.util.find_spec(PACKAGE)
-    for place in (spec and spec.submodule_search_locations) or ():
-        if (found := load(Path(place))) is not None:
+    for folder in (spec and spec.submodule_search_locations) or ():
+        if (found := load(Path(folder))) is not None:
             return found
     return None
 

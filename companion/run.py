@@ -56,7 +56,7 @@ from companion.io.state_directory import (
     load_signing_key,
     lock_name,
     open_signing_keeper,
-    place_of,
+    resolved_address,
     state_directory,
 )
 from companion.kernel import IS_COMPILED, IS_NATIVE, IS_SWITCHED_OFF
@@ -280,7 +280,7 @@ def fly(
     state = state_directory(config.process.state_directory, os.environ)
     (vehicle,) = (link.transport for link in links if link.spec.role is LinkRole.VEHICLE)
     name = link_name(vehicle)
-    lock = VehicleLock(state, name, config.vehicle.system_id, place_of(vehicle))
+    lock = VehicleLock(state, name, config.vehicle.system_id, resolved_address(vehicle))
     try:
         if not IS_COMPILED and not IS_SWITCHED_OFF and kernel_cache.can_compile():
             log.info(

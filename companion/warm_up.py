@@ -44,11 +44,11 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
         tracker = TargetTracker(params)
         for step in range(2 * SMALL_WINDOW):
             time_s, angle = 0.1 * step, 0.1 * step
-            place = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
-            seen = _seen(place, time_s, rng, has_range, has_bearing)
+            sensor_enu_m = (RADIUS_M * math.cos(angle), RADIUS_M * math.sin(angle), HEIGHT_M)
+            seen = _seen(sensor_enu_m, time_s, rng, has_range, has_bearing)
             if has_bearing:
-                seen = _by_array(seen, place, params.filter.model.antenna)
-            tracker.fuse(seen, place, time_s)
+                seen = _by_array(seen, sensor_enu_m, params.filter.model.antenna)
+            tracker.fuse(seen, sensor_enu_m, time_s)
         request = PlanRequest(
             (RADIUS_M, 0.0),
             tracker.estimate(60.0),
@@ -66,14 +66,14 @@ def warm_up(params: TrackerParams, planner: Planner[Any]) -> None:
 
 
 def _seen(
-    place: tuple[float, float, float],
+    sensor_enu_m: tuple[float, float, float],
     time_s: float,
     rng: np.random.Generator,
     has_range: bool,
     has_bearing: bool,
 ) -> RangingMeasurement:
-    east, north = TARGET_M[0] - place[0], TARGET_M[1] - place[1]
-    range_m = math.hypot(east, north, place[2]) + float(rng.normal())
+    east, north = TARGET_M[0] - sensor_enu_m[0], TARGET_M[1] - sensor_enu_m[1]
+    range_m = math.hypot(east, north, sensor_enu_m[2]) + float(rng.normal())
     bearing_rad = math.remainder(math.atan2(north, east) + 0.03 * float(rng.normal()), math.tau)
     return RangingMeasurement(
         emitter_id=1,
@@ -84,14 +84,14 @@ def _seen(
 
 
 def _by_array(
-    seen: RangingMeasurement, place: tuple[float, float, float], antenna: int
+    seen: RangingMeasurement, sensor_enu_m: tuple[float, float, float], antenna: int
 ) -> RangingMeasurement:
     """Return the measurement with its direction by a level antenna array, if the antenna is one."""
     ahead, right, down = LEVEL
     bearing_rad = seen.bearing_enu_rad
     if antenna == COSINES:
-        slant_m = math.dist((*TARGET_M, 0.0), place)
-        south, below = (place[1] - TARGET_M[1]) / slant_m, place[2] / slant_m
+        slant_m = math.dist((*TARGET_M, 0.0), sensor_enu_m)
+        south, below = (sensor_enu_m[1] - TARGET_M[1]) / slant_m, sensor_enu_m[2] / slant_m
         return replace(seen, array=ArrayDirection(right, down, south, below))
     if antenna == AZIMUTH or bearing_rad is None:
         return seen

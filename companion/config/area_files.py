@@ -1,13 +1,13 @@
 """Fences from files: the plan of QGroundControl, and KML.
 
 Source: QGroundControl developer guide, "Plan File Format": `geoFence` version 2 with `polygons` and
-`circles`, each of version 1, places as [latitude, longitude] in degrees, radii in metres. The
+`circles`, each of version 1, positions as [latitude, longitude] in degrees, radii in metres. The
 mission, the rally points and the breach return point of the plan are ignored.
 
 Source: OGC KML 2.3, Polygon: `outerBoundaryIs` and `innerBoundaryIs` hold rings of
-"longitude,latitude[,altitude]" tuples in degrees, closed by their first place. The one polygon that
-is not a keep-out is the fence, and holes in it are keep-outs; so are polygons in a Placemark or
-Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are ignored.
+"longitude,latitude[,altitude]" tuples in degrees, closed by their first position. The one polygon
+that is not a keep-out is the fence, and holes in it are keep-outs; so are polygons in a Placemark
+or Folder whose name begins with one of `KEEP_OUT_NAMES`. Altitudes are ignored.
 
 An XML document with a DOCTYPE could bring entities that grow without bound, and is refused.
 """
@@ -87,20 +87,22 @@ def _polygon(area: dict[str, object], path: str) -> GeoArea:
     corners = area.get("polygon")
     if not isinstance(corners, list):
         raise ValueError(f"{path}.polygon: is not a list of corners")
-    places = tuple(_plan_place(c, f"{path}.polygon[{index}]") for index, c in enumerate(corners))
-    return GeoArea(places)
+    positions = tuple(
+        _plan_position(c, f"{path}.polygon[{index}]") for index, c in enumerate(corners)
+    )
+    return GeoArea(positions)
 
 
 def _circle(area: dict[str, object], path: str) -> GeoArea:
     circle = area.get("circle")
     if not isinstance(circle, dict):
         raise ValueError(f"{path}.circle: is missing")
-    centre = _plan_place(circle.get("center"), f"{path}.circle.center")
+    centre = _plan_position(circle.get("center"), f"{path}.circle.center")
     radius_m = _number(circle.get("radius"), f"{path}.circle.radius")
     return GeoArea((centre,), radius_m)
 
 
-def _plan_place(value: object, path: str) -> LatLon:
+def _plan_position(value: object, path: str) -> LatLon:
     if not (isinstance(value, list) and len(value) in (2, 3)):
         raise ValueError(f"{path}: is not [latitude, longitude]")
     return _number(value[0], f"{path}[0]"), _number(value[1], f"{path}[1]")
@@ -189,14 +191,14 @@ def _areas(polygon: Element, path: str, is_keep_out: bool) -> Iterator[NamedArea
 def ring_of(coordinates: Element, path: str) -> GeoArea:
     """Return the ring in `coordinates`, open."""
     tuples = (coordinates.text or "").split()
-    places = tuple(
-        _kml_place(text, f"{path}: corner {n}") for n, text in enumerate(tuples, start=1)
+    positions = tuple(
+        _kml_position(text, f"{path}: corner {n}") for n, text in enumerate(tuples, start=1)
     )
-    is_closed = len(places) > 1 and places[0] == places[-1]
-    return GeoArea(places[:-1] if is_closed else places)
+    is_closed = len(positions) > 1 and positions[0] == positions[-1]
+    return GeoArea(positions[:-1] if is_closed else positions)
 
 
-def _kml_place(text: str, path: str) -> LatLon:
+def _kml_position(text: str, path: str) -> LatLon:
     parts = text.split(",")
     try:
         longitude_deg, latitude_deg = (float(part) for part in parts[:2])

@@ -1,4 +1,4 @@
-"""YAML text to frozen parameter records, with errors that name the file and the place.
+"""YAML text to frozen parameter records, with errors that name the file and the key.
 
 msgspec checks types, bounds and unknown keys against the record. This module checks the rest:
 repeated keys (YAML keeps the last one silently), numbers that are not finite, texts that cannot be
@@ -147,7 +147,7 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
     """Return the record of type `kind` in YAML text called `name`; empty text is all defaults.
 
     `renew` gives keys of an earlier version their present names, in place. A `ConfigError` has a
-    line for every problem, with its place.
+    line for every problem, with the path of its key.
     """
     raw = _parse(text, name)
     if raw is None:
@@ -171,20 +171,20 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
     raise ConfigError("\n".join(f"{name}: {problem}" for problem in problems[:MAX_PROBLEMS]))
 
 
-def parse_value(text: str, place: str) -> object:
-    """Return the value of YAML text; a `ConfigError` begins with its place."""
-    value = _parse(text, place)
+def parse_value(text: str, path: str) -> object:
+    """Return the value of YAML text; a `ConfigError` begins with `path`."""
+    value = _parse(text, path)
     problems = _strange_values(value, "$", set())
     if problems:
-        raise ConfigError(f"{place}: {problems[0].text}")
+        raise ConfigError(f"{path}: {problems[0].text}")
     return value
 
 
-def record_within(raw: object, kind: type[T], place: str) -> T:
+def record_within(raw: object, kind: type[T], path: str) -> T:
     """Return the record of type `kind` in plain values; a `ValueError` begins with its path."""
     record = _convert(raw, kind)
     if isinstance(record, _Problem):
-        raise ValueError(f"{place}{record.path.removeprefix('$')}: {record.text}")
+        raise ValueError(f"{path}{record.path.removeprefix('$')}: {record.text}")
     return record
 
 

@@ -39,8 +39,8 @@ class RadioConfig(Params, frozen=True):
         record_within(self.settings, RadioSettings, "settings")
 
 
-def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
-    """Return the setup of a radio for a flight; a `ConfigError` begins with `place`.
+def radio_setup(radio: RadioConfig, path: str) -> RadioSetup:
+    """Return the setup of a radio for a flight; a `ConfigError` begins with `path`.
 
     This loads plugins; a broken one is named.
     """
@@ -54,14 +54,14 @@ def radio_setup(radio: RadioConfig, place: str) -> RadioSetup:
             is_uncalibrated=is_uncalibrated(radio),
         )
     except ValueError as error:
-        raise ConfigError(f"{place}: {error}") from None
+        raise ConfigError(f"{path}: {error}") from None
     try:
         kind.decoder(setup.options)
     except ConfigError as error:
-        raise ConfigError(f"{place}: {error}") from None
+        raise ConfigError(f"{path}: {error}") from None
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(f"{place}: its decoder cannot be made ({reason})") from error
+        raise ConfigError(f"{path}: its decoder cannot be made ({reason})") from error
     return setup
 
 
@@ -181,10 +181,10 @@ def flown_radios(
     taken: Counter[str] = Counter()
     for text in options:
         name = re.split("[:@]", text.strip(), maxsplit=1)[0]
-        places = [number for number, radio in enumerate(configured) if radio.name == name]
-        if taken[name] < len(places):
-            place = places[taken[name]]
-            radios[place] = parse_radio_option(text, configured[place])
+        indices = [number for number, radio in enumerate(configured) if radio.name == name]
+        if taken[name] < len(indices):
+            index = indices[taken[name]]
+            radios[index] = parse_radio_option(text, configured[index])
         else:
             radios.append(parse_radio_option(text))
         taken[name] += 1

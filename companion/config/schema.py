@@ -290,7 +290,7 @@ class CompanionConfig(Params, frozen=True):
 
 
 def load_config(path: Path | None) -> CompanionConfig:
-    """Return the configuration in a file, or the defaults; a `ConfigError` names file and place."""
+    """Return the configuration in a file, or the defaults; a `ConfigError` names file and key."""
     if path is None:
         return CompanionConfig()
     config = load_yaml(path, CompanionConfig, lambda raw: renew(raw, str(path)))

@@ -95,8 +95,8 @@ def _areas_of_search_kml(text: str) -> SearchSite:
             if len(outer) != 1:
                 raise ValueError(f"{path}: has {len(outer)} outer rings")
             rings = [ring_of(each, path).corners_deg for each in (*outer, *inner)]
-            places = [[[lon, lat] for lat, lon in ring] for ring in rings]
-            outside, *holes = (_site_ring(ring, path) for ring in places)
+            corners = [[[lon, lat] for lat, lon in ring] for ring in rings]
+            outside, *holes = (_site_ring(ring, path) for ring in corners)
             areas.append(SiteArea(outside, weight, tuple(holes)))
     return _checked(tuple(areas))
 
@@ -183,26 +183,26 @@ def _polygons_in(geometry: Mapping[str, object], path: str) -> Iterator[object]:
 
 def _site_ring(ring: object, path: str) -> tuple[LatLon, ...]:
     if not isinstance(ring, list):
-        raise ValueError(f"{path}.geometry: a ring is not a list of places")
-    places = [_site_place(each, path) for each in ring]
-    if len(places) > 1 and places[0] == places[-1]:
-        places.pop()
-    if len(places) < 3:
+        raise ValueError(f"{path}.geometry: a ring is not a list of positions")
+    positions = [_site_position(each, path) for each in ring]
+    if len(positions) > 1 and positions[0] == positions[-1]:
+        positions.pop()
+    if len(positions) < 3:
         raise ValueError(f"{path}.geometry: a ring has fewer than 3 corners")
-    if len(places) > MOST_CORNERS:
+    if len(positions) > MOST_CORNERS:
         raise ValueError(
             f"{path}.geometry: a ring has more than {MOST_CORNERS} corners; simplify it"
         )
-    if not is_simple([(100_000.0 * lon, 100_000.0 * lat) for lat, lon in places]):
+    if not is_simple([(100_000.0 * lon, 100_000.0 * lat) for lat, lon in positions]):
         raise ValueError(f"{path}.geometry: a ring has two edges that touch or cross each other")
-    return tuple(places)
+    return tuple(positions)
 
 
-def _site_place(value: object, path: str) -> LatLon:
+def _site_position(value: object, path: str) -> LatLon:
     numbers = value[:2] if isinstance(value, list) else []
     found = [float(n) for n in numbers if isinstance(n, int | float) and not isinstance(n, bool)]
     if len(found) < 2:
-        raise ValueError(f"{path}.geometry: a place is not [longitude, latitude]")
+        raise ValueError(f"{path}.geometry: a position is not [longitude, latitude]")
     longitude, latitude = found
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         raise ValueError(

@@ -165,11 +165,11 @@ class DemoWatch(FlightView):
 
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Keep the estimates, and the crossing points chosen."""
-        place, r95_m = fields.get("position_enu_m"), fields.get("r95_m")
-        if kind == "estimate" and isinstance(place, tuple) and isinstance(r95_m, float):
-            self.estimates.append((now_s, place[0], place[1], r95_m))
-        elif kind == "waypoint" and isinstance(place, tuple):
-            self.crossings_enu_m.append((place[0], place[1]))
+        position, r95_m = fields.get("position_enu_m"), fields.get("r95_m")
+        if kind == "estimate" and isinstance(position, tuple) and isinstance(r95_m, float):
+            self.estimates.append((now_s, position[0], position[1], r95_m))
+        elif kind == "waypoint" and isinstance(position, tuple):
+            self.crossings_enu_m.append((position[0], position[1]))
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
         """Request the end, as Ctrl-C does, if there is a reason."""

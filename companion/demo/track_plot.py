@@ -79,8 +79,10 @@ def _draw_map(axes: Axes, flight: PlottedFlight) -> None:
     axes.plot(track[0, 0], track[0, 1], "o", color=VEHICLE, markersize=6, label="start")
     axes.plot(*estimates.T, color=ESTIMATE, linewidth=0.8, alpha=0.7, label="estimate over time")
     if flight.crossings_enu_m:
-        places = np.array(flight.crossings_enu_m)
-        (dots,) = axes.plot(*places.T, "D", color=CROSSING, markersize=5, label="crossing points")
+        positions = np.array(flight.crossings_enu_m)
+        (dots,) = axes.plot(
+            *positions.T, "D", color=CROSSING, markersize=5, label="crossing points"
+        )
         dots.set(markeredgecolor="0.3", markeredgewidth=0.5)
     ellipse = ellipse_95(flight.final.position_enu_m, flight.final.covariance_m2)
     east, north = np.array(ellipse.corners_enu_m(120)).T

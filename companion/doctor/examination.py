@@ -24,10 +24,10 @@ from companion.doctor.findings import (
     AutopilotFacts,
     CheckResult,
     Facts,
+    FolderFacts,
     HostFacts,
     Level,
     LinkFacts,
-    PlaceFacts,
     StreamRate,
     as_json,
     as_lines,
@@ -74,7 +74,7 @@ def inspect_host(logs: Path, state: Path, key_file: str | None) -> HostFacts:
     )
 
 
-def inspect_folder(directory: Path) -> PlaceFacts:
+def inspect_folder(directory: Path) -> FolderFacts:
     """Measure if and how fast a directory can be written; a missing one is created and kept."""
     probe = directory / f".doctor.{os.getpid()}"
     try:
@@ -84,14 +84,14 @@ def inspect_folder(directory: Path) -> PlaceFacts:
         took_s = time.monotonic() - began_s
         room = os.statvfs(directory)
     except OSError as error:
-        return PlaceFacts(str(directory), error.strerror or str(error))
+        return FolderFacts(str(directory), error.strerror or str(error))
     except CompanionError as error:
-        return PlaceFacts(str(directory), str(error.__cause__ or error))
+        return FolderFacts(str(directory), str(error.__cause__ or error))
     finally:
         with suppress(OSError):
             probe.unlink(missing_ok=True)
     free_mb = room.f_bavail * room.f_frsize / 1e6
-    return PlaceFacts(str(directory), None, round(free_mb, 1), round(took_s, 4))
+    return FolderFacts(str(directory), None, round(free_mb, 1), round(took_s, 4))
 
 
 def _version(package: str) -> str | None:
@@ -170,12 +170,12 @@ def _check_host(host: HostFacts, config: CompanionConfig) -> Iterator[CheckResul
     yield _check_clock(host)
 
 
-def _check_logs(place: PlaceFacts, config: CompanionConfig) -> CheckResult:
-    if place.problem is not None:
-        text = f"{place.path}: {place.problem}"
-        return fail("log.directory", text, "choose another place in log.directory, or repair it")
-    free_mb, took_s = place.free_mb or 0.0, place.synced_write_s or 0.0
-    text = f"{place.path}: {free_mb:.0f} MB free, a megabyte takes {took_s:.2f} s"
+def _check_logs(folder: FolderFacts, config: CompanionConfig) -> CheckResult:
+    if folder.problem is not None:
+        text = f"{folder.path}: {folder.problem}"
+        return fail("log.directory", text, "choose another folder in log.directory, or repair it")
+    free_mb, took_s = folder.free_mb or 0.0, folder.synced_write_s or 0.0
+    text = f"{folder.path}: {free_mb:.0f} MB free, a megabyte takes {took_s:.2f} s"
     if free_mb < LEAST_FREE_MB:
         return fail("log.directory", text, "make room, or set log.keep_flights")
     if free_mb < config.log.max_mb:
@@ -186,11 +186,11 @@ def _check_logs(place: PlaceFacts, config: CompanionConfig) -> CheckResult:
     return ok("log.directory", text)
 
 
-def _check_state(place: PlaceFacts) -> CheckResult:
-    if place.problem is not None:
-        text = f"{place.path}: {place.problem}: no restart in flight, and no lock"
-        return warn("process.state_directory", text, "choose another place, or repair it")
-    return ok("process.state_directory", place.path)
+def _check_state(folder: FolderFacts) -> CheckResult:
+    if folder.problem is not None:
+        text = f"{folder.path}: {folder.problem}: no restart in flight, and no lock"
+        return warn("process.state_directory", text, "choose another folder, or repair it")
+    return ok("process.state_directory", folder.path)
 
 
 def _check_key(host: HostFacts) -> CheckResult:
@@ -319,8 +319,8 @@ def _missing_estimates(facts: AutopilotFacts) -> list[str]:
     flags = facts.estimator_flags
     if flags is not None:
         return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]
-    has_place = {"LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"} & facts.heard
-    return [] if has_place else ["position"]
+    has_position = {"LOCAL_POSITION_NED", "GPS_GLOBAL_ORIGIN"} & facts.heard
+    return [] if has_position else ["position"]
 
 
 def _check_rate(rate: StreamRate) -> CheckResult:

@@ -101,7 +101,7 @@ class LinkFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceFacts:
+class FolderFacts:
     """A directory that is written to in flight."""
 
     path: str
@@ -124,8 +124,8 @@ class HostFacts:
     """True if the kernels were compiled ahead."""
     priority: str | None
     """Priority granted to a flight started in the same way; None: normal priority."""
-    logs: PlaceFacts
-    state: PlaceFacts
+    logs: FolderFacts
+    state: FolderFacts
     key_problem: str | None
     """Fault of the signing key; None: no fault, or no key."""
     has_key: bool

@@ -149,11 +149,11 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
             directory.mkdir(parents=True)
         except FileExistsError as error:
             if not directory.is_dir():
-                raise CompanionError(f"{root}: not a directory; choose another place") from error
+                raise CompanionError(f"{root}: not a directory; choose another folder") from error
             suffix += 1
         except OSError as error:
             raise CompanionError(
-                f"{directory}: cannot be made ({error.strerror}); choose another place"
+                f"{directory}: cannot be made ({error.strerror}); choose another folder"
             ) from error
         else:
             return directory
@@ -325,7 +325,7 @@ class BackgroundFile(WriterThread[bytes]):
             self._bytes = os.fstat(self._fd).st_size
         except OSError as error:
             raise CompanionError(
-                f"{path}: cannot be opened ({error.strerror}); choose another place for the log"
+                f"{path}: cannot be opened ({error.strerror}); choose another folder for the log"
             ) from error
         super().__init__(f"write {path.name}", MAX_QUEUED, GATHER_S)
         self.bytes_kept = self._bytes

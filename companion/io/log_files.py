@@ -432,9 +432,9 @@ def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str,
     return values
 
 
-def damage_text(path: Path | str, unit: str, places: Sequence[int]) -> str:
+def damage_text(path: Path | str, unit: str, positions: Sequence[int]) -> str:
     """Return the line that locates a log's damage, or an empty text."""
-    if not places:
+    if not positions:
         return ""
-    more = "" if len(places) == 1 else f" and at {len(places) - 1} more places"
-    return f"{path}: damaged at {unit} {places[0]}{more}; what is left is read"
+    more = "" if len(positions) == 1 else f" and at {len(positions) - 1} more places"
+    return f"{path}: damaged at {unit} {positions[0]}{more}; what is left is read"

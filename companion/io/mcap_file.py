@@ -190,17 +190,17 @@ class McapLog(WriterThread[Message]):
         sensor = fields.get("sensor_enu_m")
         if isinstance(sensor, tuple):
             self._put_json("/vehicle/pose", _pose(stamp, sensor), now_s)
-        place, covariance = fields.get("position_enu_m"), fields.get("covariance_m2")
-        if not (isinstance(place, tuple) and isinstance(covariance, tuple)):
+        position, covariance = fields.get("position_enu_m"), fields.get("covariance_m2")
+        if not (isinstance(position, tuple) and isinstance(covariance, tuple)):
             return
-        self._put_json("/estimate/pose", _pose(stamp, (*place, 0.0)), now_s)
+        self._put_json("/estimate/pose", _pose(stamp, (*position, 0.0)), now_s)
         if self._origin is not None:
             own_sigma_m = fields.get("own_sigma_m")
             own_m2 = own_sigma_m**2 if isinstance(own_sigma_m, float) else 0.0
             (east, cross), (_, north) = covariance
             on_earth = ((east + own_m2, cross), (cross, north + own_m2))
-            self._put_json("/estimate/fix", _fix(stamp, place, on_earth, self._origin), now_s)
-            outline = _outline(place, on_earth, self._origin)
+            self._put_json("/estimate/fix", _fix(stamp, position, on_earth, self._origin), now_s)
+            outline = _outline(position, on_earth, self._origin)
             self._put_json("/estimate/ellipse", {"geojson": json.dumps(outline)}, now_s)
 
     def _stamp(self, now_s: float) -> Json:
@@ -255,13 +255,13 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
     return write, finish
 
 
-def _pose(stamp: Json, place: tuple[float, ...]) -> Json:
+def _pose(stamp: Json, position: tuple[float, ...]) -> Json:
     """Return a foxglove.PoseInFrame; it has no heading."""
     return {
         "timestamp": stamp,
         "frame_id": FRAME_ID,
         "pose": {
-            "position": {"x": place[0], "y": place[1], "z": place[2]},
+            "position": {"x": position[0], "y": position[1], "z": position[2]},
             "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
         },
     }
@@ -269,12 +269,14 @@ def _pose(stamp: Json, place: tuple[float, ...]) -> Json:
 
 def _fix(
     stamp: Json,
-    place: tuple[float, ...],
+    position: tuple[float, ...],
     covariance: tuple[tuple[float, ...], ...],
     origin: LocalOrigin,
 ) -> Json:
     """Return a foxglove.LocationFix with covariance type 3 (known): east, north, up, row-major."""
-    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu((place[0], place[1], 0.0))
+    latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(
+        (position[0], position[1], 0.0)
+    )
     (east, cross), (_, north) = covariance
     return {
         "timestamp": stamp,
@@ -288,11 +290,13 @@ def _fix(
 
 
 def _outline(
-    place: tuple[float, ...], covariance: tuple[tuple[float, ...], ...], origin: LocalOrigin
+    position: tuple[float, ...], covariance: tuple[tuple[float, ...], ...], origin: LocalOrigin
 ) -> Json:
     """Return the 95 % ellipse as GeoJSON."""
     (east, cross), (_, north) = covariance
-    corners = ellipse_95((place[0], place[1]), ((east, cross), (cross, north))).corners_enu_m(24)
+    corners = ellipse_95((position[0], position[1]), ((east, cross), (cross, north))).corners_enu_m(
+        24
+    )
     ring = [origin.geodetic_from_enu((*corner, 0.0)) for corner in (*corners, corners[0])]
     coordinates = [[longitude, latitude] for latitude, longitude, _ in ring]
     geometry = {"type": "Polygon", "coordinates": [coordinates]}

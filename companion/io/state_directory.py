@@ -79,16 +79,16 @@ logger = logging.getLogger("companion.io")
 class VehicleLock:
     """Lock of a vehicle, held from construction to `release`, or to the end of the process.
 
-    `link` is the vehicle link's address in its canonical spelling, and `place` the resolved one,
-    see `place_of`; without a system id it is for the first vehicle that is heard. Raises a
-    `LinkError` if another companion has the vehicle.
+    `link` is the vehicle link's address in its canonical spelling, and `resolved` the one that it
+    leads to, see `resolved_address`; without a system id it is for the first vehicle that is heard.
+    Raises a `LinkError` if another companion has the vehicle.
     """
 
     def __init__(
-        self, directory: Path, link: str, system_id: int | None, place: str | None = None
+        self, directory: Path, link: str, system_id: int | None, resolved: str | None = None
     ) -> None:
         self._descriptors: list[int] = []
-        name = lock_name(place or link)
+        name = lock_name(resolved or link)
         try:
             directory.mkdir(parents=True, exist_ok=True)
             is_shared = system_id is not None
@@ -130,7 +130,7 @@ class VehicleLock:
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
 
 
-def place_of(link: Transport) -> str:
+def resolved_address(link: Transport) -> str:
     """Return the resolved address of a link, the same for every spelling; unknown names stay."""
     kind = type(link).__name__
     match link:
@@ -155,7 +155,7 @@ def _number_of(host: str) -> str:
         with suppress(OSError, UnicodeError):
             found.append(socket.gethostbyname(host))
 
-    thread = threading.Thread(target=look_up, name="place of a link", daemon=True)
+    thread = threading.Thread(target=look_up, name="address of a link", daemon=True)
     thread.start()
     thread.join(LOOK_UP_S)
     return found[-1]

@@ -138,12 +138,12 @@ def calibrate(run: CalibrationRun) -> Calibration:
     done = Calibration(run.radio, run.emitter_id, own_sigma_m=track.sigma_m)
     done.tests = find_tests(track)
     times = np.array([m.measured_at_s for m in run.measurements])
-    is_placed = track.knows(times)
-    lost = int(len(times) - is_placed.sum())
+    has_pose = track.knows(times)
+    lost = int(len(times) - has_pose.sum())
     if lost:
         done.remarks.append(f"{lost} of {len(times)} answers came where no pose is near")
     is_blocked = _in_windows(times, run.windows, ("blocked",))
-    is_fitted = is_placed & ~is_blocked
+    is_fitted = has_pose & ~is_blocked
     others = [window.name for window in run.windows if window.name != "blocked"]
     if others:
         is_fitted &= _in_windows(times, run.windows, ("turn", "line", "circle"))
@@ -161,12 +161,12 @@ def calibrate(run: CalibrationRun) -> Calibration:
     else:
         done.lag_s = range_lag
     if wants_ranges and done.ranges:
-        blocked = ranged & is_placed & is_blocked
+        blocked = ranged & has_pose & is_blocked
         _fit_ranges(ranges, RangeSamples(times[blocked], values[blocked]), track, done)
     _compare_reported(fitted, done)
     _check_vehicle_position(track, bearings, done)
     if not done.ranges and not done.bearings:
-        done.range_refusals.append("nothing was measured where the vehicle's place is known")
+        done.range_refusals.append("nothing was measured where the vehicle's position is known")
     elif not (done.has_ranges or done.has_bearings or done.refusals):
         done.range_refusals.append(
             f"{' and '.join(others)} needs {'bearings' if wants_bearings else 'ranges'}, "
@@ -360,7 +360,8 @@ def _check_ranges(fit: RangeFit, done: Calibration) -> None:
         )
     if fit.is_split:
         done.range_refusals.append(
-            "ranges at one place are of two kinds, more than 2 m apart: two emitters or two paths"
+            "ranges at one position are of two kinds, more than 2 m apart: two emitters or two "
+            "paths"
         )
 
 
@@ -408,7 +409,7 @@ def _check_vehicle_position(track: PoseTrack, bearings: BearingSamples, done: Ca
         return
     if done.range_fit is not None and own > done.range_fit.sigma_m.value / 3.0:
         done.range_refusals.append(
-            f"the vehicle's place is good to {own:.2f} m, and has to be to a third of the sigma "
+            f"the vehicle's position is good to {own:.2f} m, and has to be to a third of the sigma "
             f"found, {done.range_fit.sigma_m.value:.2f} m: needs RTK"
         )
     if done.bearing_fit is not None:
@@ -416,7 +417,7 @@ def _check_vehicle_position(track: PoseTrack, bearings: BearingSamples, done: Ca
         sigma = done.bearing_fit.sigma_rad.value
         if own / distance > sigma / 3.0:
             done.bearing_refusals.append(
-                f"the vehicle's place is good to {own:.2f} m, which at {distance:.0f} m is more "
+                f"the vehicle's position is good to {own:.2f} m, which at {distance:.0f} m is more "
                 f"than a third of the sigma found, {math.degrees(sigma):.1f} deg: needs RTK, or "
                 "farther away"
             )

@@ -38,7 +38,7 @@ def verdict(done: Calibration) -> str:
     if done.range_fit is not None and done.range_fit.worst_m is not None:
         distance_m, far_m = done.range_fit.worst_m
         guess = " (reflection?)" if far_m > 0.0 else ""
-        last += f"        worst place: {distance_m:.0f} m, {far_m:+.1f} m{guess}"
+        last += f"        worst position: {distance_m:.0f} m, {far_m:+.1f} m{guess}"
     return "\n".join([*lines, last])
 
 
@@ -73,7 +73,7 @@ def _range_lines(fit: RangeFit, done: Calibration) -> list[str]:
         f"     scale {scale}"
     ]
     line = (
-        f"sigma {fit.sigma_m.value:.2f} m (scatter {fit.scatter_m.value:.2f}, between places "
+        f"sigma {fit.sigma_m.value:.2f} m (scatter {fit.scatter_m.value:.2f}, between positions "
         f"{fit.between_m:.2f})  longer than 3 sigma: {100.0 * fit.nlos_share.value:.0f} %"
     )
     if fit.nlos_excess_m is not None:

@@ -1,9 +1,10 @@
-"""Fits whose errors are correlated within a place, and the poses and tests of a calibration.
+"""Fits whose errors are correlated within a cluster, and the poses and tests of a calibration.
 
 Theory of operation of the fits. Reflections and the antenna's orientation give all values of one
-place the same error, so a thousand values of five places are five. Variances are therefore those of
-the delete-one-place jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and Statistics
-98, 2016), and intervals are Student's with places less parameters as degrees of freedom.
+position the same error, so a thousand values of five positions are five. Variances are therefore
+those of the delete-one-cluster jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and
+Statistics 98, 2016), and intervals are Student's with clusters less parameters as degrees of
+freedom.
 
 Theory of operation of the poses. Everything is evaluated at a time, so that a lag is a shift of it.
 Positions and roll and pitch are interpolated, yaw along its shorter way. The tests are recognised
@@ -87,10 +88,10 @@ def sigma_figure(sigma: float, freedom: float) -> Figure:
     return Figure(sigma, sigma / high, sigma / low)
 
 
-def places_of(points_m: Matrix, radius_m: float) -> Labels:
-    """Return numbers from 0, (n,), of the places that points (n, 3) belong to.
+def clusters_of(points_m: Matrix, radius_m: float) -> Labels:
+    """Return numbers from 0, (n,), of the clusters that points (n, 3) belong to.
 
-    A point farther than the radius from every place so far starts one; then each goes to the
+    A point farther than the radius from every cluster so far starts one; then each goes to the
     nearest, so that the way back is divided like the way out.
     """
     centres: list[Vector] = []
@@ -111,16 +112,16 @@ def places_of(points_m: Matrix, radius_m: float) -> Labels:
 
 
 def sums_of(values: Vector, labels: Labels) -> Vector:
-    """Return the sum of each place."""
+    """Return the sum of each cluster."""
     count = int(labels.max(initial=-1)) + 1
     return np.asarray(np.bincount(labels, weights=values, minlength=count), dtype=np.float64)
 
 
 def ratio_figure(parts: Vector, weights: Vector) -> Figure:
-    """Return sum of parts over sum of weights, one of each per place, by the jackknife.
+    """Return sum of parts over sum of weights, one of each per cluster, by the jackknife.
 
-    If a few places have most of the variance, they are its degrees of freedom (F. E. Satterthwaite,
-    Biometrics Bulletin 2, 1946).
+    If a few clusters have most of the variance, they are its degrees of freedom (F. E.
+    Satterthwaite, Biometrics Bulletin 2, 1946).
     """
     used = weights > 0.0
     parts, weights = parts[used], weights[used]
@@ -136,7 +137,7 @@ def ratio_figure(parts: Vector, weights: Vector) -> Figure:
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """Weighted least squares: values, covariance by places, and degrees of freedom."""
+    """Weighted least squares: values, covariance by clusters, and degrees of freedom."""
 
     beta: Vector
     covariance: Matrix
@@ -158,7 +159,7 @@ def solved(rows: Matrix, values: Vector, weights: Vector) -> Vector:
 
 
 def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) -> LinearFit:
-    """Fit values (n,) by rows (n, p); the covariance leaves out one place after the other.
+    """Fit values (n,) by rows (n, p); the covariance leaves out one cluster after the other.
 
     Parameters that the rows do not determine have infinite variance.
     """
@@ -237,7 +238,7 @@ LEAST_DISTANCE_M = 1.0
 class Seen:
     """The point as seen from the vehicle at some times, (n,) each."""
 
-    place_m: Matrix
+    position_enu_m: Matrix
     """Vehicle positions, (n, 3)."""
     distance_m: Vector
     """Slant distance to the point."""
@@ -255,7 +256,7 @@ class PoseTrack:
         ordered = sorted(poses, key=lambda pose: pose.t_s)
         kept = [p for i, p in enumerate(ordered) if i == 0 or p.t_s > ordered[i - 1].t_s]
         self.times_s: Vector = np.array([pose.t_s for pose in kept])
-        self.places_m: Matrix = np.array([pose.enu_m for pose in kept]).reshape(-1, 3)
+        self._positions_enu_m: Matrix = np.array([pose.enu_m for pose in kept]).reshape(-1, 3)
         self.point_m = point_m
         oriented = [pose for pose in kept if pose.yaw_rad is not None]
         self._yaw_times_s: Vector = np.array([pose.t_s for pose in oriented])
@@ -281,9 +282,9 @@ class PoseTrack:
         is_near = known[after] - known[after - 1] <= MOST_GAP_S
         return np.asarray(is_inside & is_near)
 
-    def place(self, times_s: Vector) -> Matrix:
+    def position_enu_m(self, times_s: Vector) -> Matrix:
         """Return interpolated positions, (n, 3), m."""
-        columns = [np.interp(times_s, self.times_s, column) for column in self.places_m.T]
+        columns = [np.interp(times_s, self.times_s, column) for column in self._positions_enu_m.T]
         return np.stack(columns, axis=1)
 
     def yaw_rad(self, times_s: Vector) -> Vector:
@@ -292,18 +293,19 @@ class PoseTrack:
 
     def seen(self, times_s: Vector) -> Seen:
         """Return the point as seen from the vehicle."""
-        place = self.place(times_s)
-        way = np.array(self.point_m) - place
+        position = self.position_enu_m(times_s)
+        way = np.array(self.point_m) - position
         distance = np.maximum(np.linalg.norm(way, axis=1), 1e-6)
         half_s = 0.2
-        velocity = (self.place(times_s + half_s) - self.place(times_s - half_s)) / (2.0 * half_s)
+        moved = self.position_enu_m(times_s + half_s) - self.position_enu_m(times_s - half_s)
+        velocity = moved / (2.0 * half_s)
         closing = -np.sum(velocity * way, axis=1) / distance
         speed = np.linalg.norm(velocity, axis=1)
-        return Seen(place, distance, closing, speed, np.arctan2(way[:, 0], way[:, 1]))
+        return Seen(position, distance, closing, speed, np.arctan2(way[:, 0], way[:, 1]))
 
     def in_body(self, times_s: Vector) -> Matrix:
         """Return unit vectors to the point along nose, right and down, (n, 3)."""
-        way = np.array(self.point_m) - self.place(times_s)
+        way = np.array(self.point_m) - self.position_enu_m(times_s)
         way /= np.maximum(np.linalg.norm(way, axis=1), 1e-6)[:, None]
         north, east, down = way[:, 1], way[:, 0], -way[:, 2]
         yaw = self.yaw_rad(times_s)

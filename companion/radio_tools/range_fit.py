@@ -1,12 +1,12 @@
 """Offset, scale, noise and lag of the ranges that a radio reported at a known distance.
 
-Theory of operation. `reported = offset + scale distance + excess + noise`. Within a place the
-excess is zero, or exponential; offset and noise are then those of the mixture, by
+Theory of operation. `reported = offset + scale distance + excess + noise`. Within a cluster of
+positions the excess is zero, or exponential; offset and noise are then those of the mixture, by
 expectation-maximisation from the one-sided robust start, because a robust location alone would
-settle on the long side. Places differ by the reflections that their ranges share: a second
-one-sided robust fit goes over the places, each weighted by the scatter between places and its own.
-A lag shifts ranges on the way out and on the way back to opposite sides of each place's mean, so it
-is fitted within places, and does not affect offset and scale.
+settle on the long side. Clusters differ by the reflections that their ranges share: a second
+one-sided robust fit goes over the clusters, each weighted by the scatter between clusters and its
+own. A lag shifts ranges on the way out and on the way back to opposite sides of each cluster's
+mean, so it is fitted within clusters, and does not affect offset and scale.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from companion.radio_tools.clustered_fit import (
     PoseTrack,
     Seen,
     Vector,
+    clusters_of,
     distances_of,
     linear_fit,
     mills,
     mirrored_sigma,
-    places_of,
     ratio_figure,
     sigma_figure,
     solved,
@@ -37,15 +37,15 @@ from companion.radio_tools.clustered_fit import (
 
 K_LONG = 1.5
 """Errors above this multiple of sigma count linearly, as in the estimator."""
-K_PLACE = 2.5
-"""Threshold for whole places; they are few, and the smaller one would pull their mean down."""
+K_CLUSTER = 2.5
+"""Threshold for whole clusters; they are few, and the smaller one would pull their mean down."""
 NLOS_SIGMAS = 3.0
-PLACE_M = 3.0
-"""Radius within which measurements count as taken at one place."""
+CLUSTER_M = 3.0
+"""Radius within which measurements count as taken at one position."""
 REGION_M = 20.0
-"""Radius within which places may share reflections; it widens intervals only."""
+"""Radius within which clusters may share reflections; it widens intervals only."""
 LEAST_REGIONS = 6
-LEAST_AT_A_PLACE = 5
+LEAST_AT_A_CLUSTER = 5
 LEAST_VALUES_TO_SPLIT = 20
 LEAST_SPEED_MPS = 0.5
 LEAST_SIGMA_M = 1e-3
@@ -65,10 +65,10 @@ class RangeSamples:
 
 @dataclass(frozen=True, slots=True)
 class RangeMixture:
-    """Ranges less distance: a mean of each place, and the parameters they share."""
+    """Ranges less distance: a mean of each cluster, and the parameters they share."""
 
     means_m: Vector
-    """Mean of each place, (places,)."""
+    """Mean of each cluster, (clusters,)."""
     sigma_m: float
     free_share: Vector
     """Probability that each range is not reflected, (n,)."""
@@ -85,18 +85,18 @@ class RangeFit:
     is_scale_used: bool
     """False if the offset is that at a scale of 1."""
     scatter_m: Figure
-    """Standard deviation within a place."""
+    """Standard deviation within a cluster."""
     between_m: float
-    """Standard deviation of the error that a place shares."""
+    """Standard deviation of the error that a cluster shares."""
     sigma_m: Figure
     """Standard deviation of both together."""
     nlos_share: Figure
     nlos_excess_m: Figure | None
     distances_m: list[float]
     worst_m: tuple[float, float] | None
-    """Distance and residual of a place that does not fit."""
+    """Distance and residual of a cluster that does not fit."""
     is_split: bool
-    """True if ranges at the same place form two clusters."""
+    """True if ranges at the same position form two groups."""
 
     @property
     def effective_scale(self) -> float:
@@ -109,15 +109,15 @@ def fit_ranges(
 ) -> RangeFit:
     """Fit offset and scale at a lag; half of its interval enters the offset's."""
     seen = track.seen(samples.times_s - lag_s)
-    labels = places_of(seen.place_m, PLACE_M)
+    labels = clusters_of(seen.position_enu_m, CLUSTER_M)
     errors = samples.ranges_m - seen.distance_m
     ones = np.ones(len(errors))
     distances = means_of(seen.distance_m, ones, labels)
-    centres = np.stack([means_of(column, ones, labels) for column in seen.place_m.T], axis=1)
+    centres = np.stack([means_of(column, ones, labels) for column in seen.position_enu_m.T], axis=1)
     start = _start(errors, distances, labels)
     slope = np.zeros(len(errors))
-    for _ in range(2):  # a scale makes ranges differ within a place of finite width
-        mixture = place_means(errors - slope, labels, start)
+    for _ in range(2):  # a scale makes ranges differ within a cluster of finite width
+        mixture = cluster_means(errors - slope, labels, start)
         start = mixture.means_m
         level = _level(mixture, distances, centres, labels)
         scale = level.scale if level.is_scale_observable else Figure(0.0, -math.inf, math.inf)
@@ -127,7 +127,7 @@ def fit_ranges(
     if level.is_scale_observable and not is_used:  # at a scale of 1, which is as uncertain
         half = level.offset_m.half_width
         offset = Figure(offset.value, offset.value - half, offset.value + half)
-    closing = float(np.mean(means_of(seen.closing_mps, ones, labels)))  # 0 if a place has both ways
+    closing = float(np.mean(means_of(seen.closing_mps, ones, labels)))  # 0 with both ways
     half = math.hypot(offset.half_width, closing * lag_half_s)
     offset = Figure(offset.value, offset.value - half, offset.value + half)
     residuals = errors - offset.value - (scale.value * seen.distance_m if is_used else 0.0)
@@ -144,14 +144,14 @@ def fit_ranges(
         sigma_m=total,
         nlos_share=share,
         nlos_excess_m=excess,
-        distances_m=distances_of(distances[np.bincount(labels) >= LEAST_AT_A_PLACE]),
+        distances_m=distances_of(distances[np.bincount(labels) >= LEAST_AT_A_CLUSTER]),
         worst_m=_worst(level, scatter.value, labels),
         is_split=is_split(errors - slope - mixture.means_m[labels], labels),
     )
 
 
 def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
-    """Return initial means of the places: the Theil-Sen line through their lower quartiles."""
+    """Return initial means of the clusters: the Theil-Sen line through their lower quartiles."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(errors[order], np.cumsum(np.bincount(labels))[:-1])
     quartiles = np.array([np.percentile(part, 25.0) for part in parts])
@@ -167,7 +167,7 @@ def _start(errors: Vector, distances: Vector, labels: Labels) -> Vector:
 
 
 def means_of(values: Vector, weights: Vector, labels: Labels) -> Vector:
-    """Return the weighted mean of each place."""
+    """Return the weighted mean of each cluster."""
     means: Vector = sums_of(weights * values, labels) / np.maximum(sums_of(weights, labels), 1e-9)
     return means
 
@@ -177,8 +177,8 @@ def one_sided_weights(u: Vector, k_long: float = K_LONG) -> Vector:
     return np.where(u > k_long, k_long / np.maximum(u, k_long), 1.0)
 
 
-def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
-    """Return means of the places under a mixture of noise and exponential excess, by EM.
+def cluster_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
+    """Return means of the clusters under a mixture of noise and exponential excess, by EM.
 
     Excess is distinguished from noise only if its mean is above two sigma.
     """
@@ -213,14 +213,14 @@ def place_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture:
         sigma = max(sigma, LEAST_SIGMA_M)
         if abs(old - sigma) < 1e-5 * sigma and float(np.max(np.abs(shift))) < 1e-4:
             break
-    places = int(labels.max()) + 1
-    sigma *= math.sqrt(count / max(count - places, 1))
+    clusters = int(labels.max()) + 1
+    sigma *= math.sqrt(count / max(count - clusters, 1))
     return RangeMixture(means, sigma, free)
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Linear fit over the places, whose ranges share an error each."""
+    """Linear fit over the clusters, whose ranges share an error each."""
 
     offset_alone_m: Figure
     """Offset at a scale of 1."""
@@ -230,18 +230,18 @@ class _Level:
     is_scale_observable: bool
     between_m: float
     residuals_m: Vector
-    """Residuals of the places, metres."""
+    """Residuals of the clusters, metres."""
     distances_m: Vector
 
 
 def _level(mixture: RangeMixture, distances: Vector, centres: Matrix, labels: Labels) -> _Level:
-    used = np.bincount(labels) >= LEAST_AT_A_PLACE
+    used = np.bincount(labels) >= LEAST_AT_A_CLUSTER
     if used.sum() < 2:
         used = np.ones(len(distances), dtype=np.bool_)
     counts = sums_of(mixture.free_share, labels)[used]
     means, distances = mixture.means_m[used], distances[used]
     own = mixture.sigma_m**2 / np.maximum(counts, 1.0)
-    regions = places_of(centres[used], REGION_M)
+    regions = clusters_of(centres[used], REGION_M)
     ones = np.ones(len(means))
     rows = np.stack([ones, distances], axis=1)
     alone, between_alone = _robust_level(rows[:, :1], means, own)
@@ -266,22 +266,22 @@ class _WeightedFit:
 
 
 def _widest(rows: Matrix, means: Vector, fit: _WeightedFit, regions: Labels, index: int) -> Figure:
-    """Return a parameter by places or by regions, the one with the wider interval."""
-    places = np.arange(len(means), dtype=np.int64)
-    groups = [places, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [places]
+    """Return a parameter by clusters or by regions, the one with the wider interval."""
+    each = np.arange(len(means), dtype=np.int64)
+    groups = [each, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [each]
     found = [linear_fit(rows, means, fit.weights, labels).figure(index) for labels in groups]
     return max(found, key=lambda figure: figure.half_width)
 
 
 def _robust_level(rows: Matrix, means: Vector, own: Vector) -> tuple[_WeightedFit, float]:
-    """Return the one-sided robust line through the places, and the variance between them."""
+    """Return the one-sided robust line through the clusters, and the variance between them."""
     count, parameters = rows.shape
     between = max(float(MAD_TO_SIGMA * np.median(np.abs(means - np.median(means)))) ** 2, 1e-8)
     weights = 1.0 / (own + between)
     for _ in range(30):
         beta = solved(rows, means, weights)
         residuals = means - rows @ beta
-        robust = one_sided_weights(residuals / np.sqrt(own + between), K_PLACE)
+        robust = one_sided_weights(residuals / np.sqrt(own + between), K_CLUSTER)
         if count > parameters:
             excess = float((robust * residuals**2 - own).sum())
             between = max(excess / (count - parameters), 1e-8)
@@ -298,24 +298,24 @@ def is_scale_observable(distances_m: Vector, sigma_m: float) -> bool:
 def _noise(
     errors: Vector, residuals: Vector, mixture: RangeMixture, seen: Seen, labels: Labels
 ) -> tuple[Figure, Figure]:
-    """Return the scatter while standing, and the noise of any place, by mirrored residuals.
+    """Return the scatter while standing, and the noise at any position, by mirrored residuals.
 
     For the second every metre of the path has the same weight, however long the vehicle was there.
     """
     standing = seen.speed_mps < LEAST_SPEED_MPS
     within = errors - mixture.means_m[labels]
-    stays = places_of(seen.place_m[standing], 0.3 * PLACE_M)
+    stays = clusters_of(seen.position_enu_m[standing], 0.3 * CLUSTER_M)
     if len(stays) > 20 * (int(stays.max(initial=-1)) + 1) > 0:
-        own = place_means(errors[standing], stays, _medians(errors[standing], stays))
+        own = cluster_means(errors[standing], stays, _medians(errors[standing], stays))
         within = errors[standing] - own.means_m[stays]
-    cells = np.unique(np.round(seen.place_m), axis=0, return_inverse=True)[1].reshape(-1)
+    cells = np.unique(np.round(seen.position_enu_m), axis=0, return_inverse=True)[1].reshape(-1)
     each = 1.0 / np.bincount(cells)[cells]
     scatter = max(mirrored_sigma(within), LEAST_SIGMA_M)
     total = max(mirrored_sigma(residuals, each), scatter)
     shared = 1.0 - (scatter / total) ** 2
-    places = int(labels.max()) + 1
+    clusters = int(labels.max()) + 1
     inner = HALF_FREEDOM * len(within)
-    outer = HALF_FREEDOM * max(places - 2.0, 1.0)
+    outer = HALF_FREEDOM * max(clusters - 2.0, 1.0)
     freedom = 1.0 / (shared**2 / outer + (1.0 - shared) ** 2 / (HALF_FREEDOM * float(each.sum())))
     return sigma_figure(scatter, inner), sigma_figure(total, freedom)
 
@@ -335,7 +335,7 @@ def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Fig
 
 
 def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, float] | None:
-    """Return the place that fits worst, if it is worth reporting."""
+    """Return the cluster that fits worst, if it is worth reporting."""
     worst = int(np.argmax(np.abs(level.residuals_m)))
     far_m = float(level.residuals_m[worst])
     own_m = scatter_m / math.sqrt(float(np.bincount(labels).mean()))
@@ -345,16 +345,16 @@ def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, floa
 
 
 def is_split(within: Vector, labels: Labels) -> bool:
-    """Return True if most places have two clusters of ranges more than 2 m apart.
+    """Return True if most clusters have two groups of ranges more than 2 m apart.
 
     Reflections do not form clusters: an exponential excess is as wide as its mean.
     """
-    split = places = 0
-    for place in range(int(labels.max()) + 1):
-        values = np.sort(within[labels == place])
+    split = clusters = 0
+    for cluster in range(int(labels.max()) + 1):
+        values = np.sort(within[labels == cluster])
         if len(values) < LEAST_VALUES_TO_SPLIT:
             continue
-        places += 1
+        clusters += 1
         cut = 0.5 * float(values[0] + values[-1])
         for _ in range(20):
             is_far = values > cut
@@ -371,4 +371,4 @@ def is_split(within: Vector, labels: Labels) -> bool:
         widest = max(float(np.subtract(*np.percentile(part, [75.0, 25.0]))) for part in parts)
         apart = float(np.median(parts[1]) - np.median(parts[0]))
         split += apart > 2.0 and widest < apart / 3.0
-    return split >= 2 and 2 * split > places
+    return split >= 2 and 2 * split > clusters

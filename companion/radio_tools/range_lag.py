@@ -1,8 +1,9 @@
 """Lag of ranges, from ways out and back.
 
 Theory of operation. A late range is the distance from where the vehicle was; it is too short on the
-way out and too long on the way back. Within one place everything else is the same both ways, so the
-lag is fitted to the differences between the ranges of a place, and to nothing else.
+way out and too long on the way back. Within one cluster of positions everything else is the same
+both ways, so the lag is fitted to the differences between the ranges of a cluster, and to nothing
+else.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from companion.radio_tools.clustered_fit import (
     Matrix,
     PoseTrack,
     Vector,
+    clusters_of,
     linear_fit,
     mirrored_sigma,
-    places_of,
     solved,
 )
 from companion.radio_tools.range_fit import (
+    CLUSTER_M,
     LEAST_REGIONS,
     LEAST_SIGMA_M,
     LEAST_SPEED_MPS,
-    PLACE_M,
     REGION_M,
     RangeSamples,
     means_of,
@@ -40,13 +41,13 @@ SCAN_S = 2.5
 SCAN_STEP_S = 0.1
 LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3
-"""Least difference of the vehicle's speed towards the point at the same place."""
+"""Least difference of the vehicle's speed towards the point at the same position."""
 LAG_SIGMA_S = 0.15
 """Largest sigma of a lag that counts as determined."""
 
 
 def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
-    """Return the lag, to 0.1 s, at which ranges of a place agree best; None if it stood still."""
+    """Return the lag, to 0.1 s, at which ranges of a cluster agree best; None if it stood still."""
     lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
     moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
     moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
@@ -56,7 +57,7 @@ def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
     spreads = []
     for lag in lags:
         seen = track.seen(times - lag)
-        _, labels = np.unique(np.round(seen.place_m / 4.0), axis=0, return_inverse=True)
+        _, labels = np.unique(np.round(seen.position_enu_m / 4.0), axis=0, return_inverse=True)
         labels = labels.reshape(-1).astype(np.int64)
         errors = ranges - seen.distance_m
         order = np.lexsort((errors, labels))
@@ -72,13 +73,13 @@ def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class _OnTheWay:
-    """Ranges under way at some lag, each less the mean of its place."""
+    """Ranges under way at some lag, each less the mean of its cluster."""
 
     errors_m: Vector
     closing_mps: Vector
     """Negated closing speed, m/s: the range error per second of lag."""
     weights: Vector
-    place_m: Matrix
+    position_enu_m: Matrix
     labels: Labels
 
 
@@ -88,7 +89,7 @@ def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnThe
     if moving.sum() < LEAST_MOVING:
         return None
     seen = track.seen(times[moving])
-    labels = places_of(seen.place_m, PLACE_M)
+    labels = clusters_of(seen.position_enu_m, CLUSTER_M)
     errors = samples.ranges_m[moving] - seen.distance_m
     weights = np.ones(len(errors))
     for _ in range(8):
@@ -97,7 +98,7 @@ def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnThe
         weights = one_sided_weights(residuals / sigma)
     closing = means_of(seen.closing_mps, weights, labels)[labels] - seen.closing_mps
     residuals = errors - means_of(errors, weights, labels)[labels]
-    return _OnTheWay(residuals, closing, weights, seen.place_m, labels)
+    return _OnTheWay(residuals, closing, weights, seen.position_enu_m, labels)
 
 
 def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
@@ -116,7 +117,7 @@ def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
         if abs(step_s) < 1e-4 or abs(lag_s) > SCAN_S:
             break
     assert way is not None
-    regions = places_of(way.place_m, REGION_M)
+    regions = clusters_of(way.position_enu_m, REGION_M)
     groups = [way.labels, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [way.labels]
     fits = [linear_fit(rows, way.errors_m, way.weights, labels) for labels in groups]
     found = max((fit.figure(0) for fit in fits), key=lambda figure: figure.half_width)

@@ -107,9 +107,9 @@ class PoseListener:
     def _take(self, event: Event) -> list[Record]:
         match event:
             case OriginSet(origin=origin):
-                place = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+                values = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
                 names = ("latitude_deg", "longitude_deg", "altitude_m")
-                fields = dict(zip(names, place, strict=True))
+                fields = dict(zip(names, values, strict=True))
                 return [RecordedOrigin(**fields, projection=origin.projection)]
             case PositionAccuracyReported():
                 self._sigma_m = event.horizontal_m

@@ -378,21 +378,21 @@ def _built_in(name: str) -> RadioKind:
 
 def _of_plugin(point: EntryPoint) -> RadioKind:
     """Load a plugin's entry point. Raises a `ConfigError` in one line that names it."""
-    place = f"radio {point.name}: the plugin {_package(point)} ({point.value})"
+    plugin = f"radio {point.name}: the plugin {_package(point)} ({point.value})"
     try:
         kind = point.load()
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ConfigError(
-            f"{place} cannot be imported: {reason}; repair or uninstall it"
+            f"{plugin} cannot be imported: {reason}; repair or uninstall it"
         ) from error
     if not isinstance(kind, RadioKind):
         raise ConfigError(
-            f"{place} is a {type(kind).__name__}; its entry point must lead to a RadioKind"
+            f"{plugin} is a {type(kind).__name__}; its entry point must lead to a RadioKind"
         )
     if kind.name != point.name:
         raise ConfigError(
-            f"{place} calls itself {kind.name}; its entry point must have the same name"
+            f"{plugin} calls itself {kind.name}; its entry point must have the same name"
         )
     return kind
 

@@ -2,7 +2,7 @@
 
 It serves every text format whose columns the user names: the quantity and its unit, as in
 `range_cm`, `rtt_ns`, `azimuth_deg`, `quality_percent`. Formats of a known make name their columns
-by it too, so that units are converted to metres, seconds and radians in one place.
+by it too, so that units are converted to metres, seconds and radians in one module.
 """
 
 from __future__ import annotations

@@ -200,11 +200,11 @@ WHERE = rf"(?:{NUMBER}|-?nan|-?inf)"
 RANGE = r"-?[0-9]{1,7}\.[0-9]{2,4}"
 """Pattern of a range, always with its decimals: `3` or `3.1` is the rest of a torn line."""
 ANCHOR = re.compile(rf",AN[0-9]{{1,2}},([0-9A-F]{{4}}),{WHERE},{WHERE},{WHERE},({RANGE})", re.I)
-PLACE = re.compile(rf",POS(?:,{WHERE}){{3}},[0-9]{{1,3}}", re.I)
+POSITION = re.compile(rf",POS(?:,{WHERE}){{3}},[0-9]{{1,3}}", re.I)
 DISTANCES = re.compile(r"DIST,([0-9]{1,2})(,.*)?$")
 BRACKETED = re.compile(rf"([0-9A-F]{{4}})\[{WHERE},{WHERE},{WHERE}\]=({RANGE})", re.I)
 BESIDE = re.compile(rf"le_us=[0-9]+|est\[{WHERE},{WHERE},{WHERE},[0-9]{{1,3}}\]")
-PLACE_LINE = re.compile(rf"POS(?:,{WHERE}){{3}},[0-9]{{1,3}}$")
+POSITION_LINE = re.compile(rf"POS(?:,{WHERE}){{3}},[0-9]{{1,3}}$")
 
 
 class PansOptions(Params, frozen=True):
@@ -231,7 +231,7 @@ class PansDecoder(FieldDecoder):
             return self._ranges(_counted(found[2] or "", int(found[1])))
         if BRACKETED.match(text):
             return self._ranges(_bracketed(text))
-        if PLACE_LINE.match(text):
+        if POSITION_LINE.match(text):
             self.counts.frames += 1
             return []
         return self.passed_over(line)
@@ -254,7 +254,7 @@ def _counted(text: str, count: int) -> list[tuple[str, str]] | None:
             return None
         anchors.append((found[1], found[2]))
         at = found.end()
-    return anchors if at == len(text) or PLACE.fullmatch(text, at) else None
+    return anchors if at == len(text) or POSITION.fullmatch(text, at) else None
 
 
 def _bracketed(text: str) -> list[tuple[str, str]] | None:
@@ -277,10 +277,10 @@ ERRORS = {
     4: "busy",
     5: "not permitted",
 }
-PLACE_TAG, PLACE_VALUE_BYTES = 0x41, 13
+POSITION_TAG, POSITION_VALUE_BYTES = 0x41, 13
 ANCHORS_TAG, TAGS_TAG = 0x49, 0x48
 RECORDS = {ANCHORS_TAG: Struct("<HIB12xB"), TAGS_TAG: Struct("<QIB")}
-"""Address, millimetres, quality; of an anchor its place, and that one's quality."""
+"""Address, millimetres, quality; of an anchor its position, and that one's quality."""
 MOST_QUALITY = 100
 
 
@@ -302,8 +302,8 @@ class PansTlvDecoder(FrameDecoder):
         end = at + STATUS_BYTES
         if len(data) < end + 2:
             return None
-        if data[end] == PLACE_TAG and data[end + 1] == PLACE_VALUE_BYTES:
-            end += 2 + PLACE_VALUE_BYTES
+        if data[end] == POSITION_TAG and data[end + 1] == POSITION_VALUE_BYTES:
+            end += 2 + POSITION_VALUE_BYTES
         if len(data) < end + 3:
             return None
         record = RECORDS.get(data[end])
@@ -318,8 +318,8 @@ class PansTlvDecoder(FrameDecoder):
             self.counts.refuse(f"answer: {ERRORS[frame[2]]}")
             return []
         at = STATUS_BYTES
-        if frame[at : at + 1] == bytes([PLACE_TAG]):
-            at += 2 + PLACE_VALUE_BYTES
+        if frame[at : at + 1] == bytes([POSITION_TAG]):
+            at += 2 + POSITION_VALUE_BYTES
         if at == len(frame):
             return []
         if frame == self._last:

@@ -198,7 +198,7 @@ class PdoaJsDecoder(FieldDecoder):
         if found := SHORT_FORM.match(line.strip()):
             right_cm, ahead_cm = (_signed(int(text, 16)) for text in found.group(2, 3))
             range_cm = math.hypot(right_cm, ahead_cm)
-            return self.understood(_placed(found[1], range_cm, right_cm, ahead_cm))
+            return self.understood(_reading_at(found[1], range_cm, right_cm, ahead_cm))
         before, *frames = JS.split(line)
         if before.strip():
             self.passed_over(before)
@@ -221,11 +221,11 @@ class PdoaJsDecoder(FieldDecoder):
                 return self.refused("distance with all bits set: nothing measured")
             if not twr.range_cm.is_integer():
                 return self.refused("distance is no whole number of centimetres")
-            return self.understood(_placed(twr.name, twr.range_cm, twr.right_cm, twr.ahead_cm))
+            return self.understood(_reading_at(twr.name, twr.range_cm, twr.right_cm, twr.ahead_cm))
         return self.refused("torn frame")
 
 
-def _placed(name: str, range_cm: float, right_cm: float, ahead_cm: float) -> RadioReading:
+def _reading_at(name: str, range_cm: float, right_cm: float, ahead_cm: float) -> RadioReading:
     """Return the reading of a position on the node's plane; without a position, no bearing."""
     has_bearing = right_cm != 0.0 or ahead_cm != 0.0
     return RadioReading(

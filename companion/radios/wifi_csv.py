@@ -240,7 +240,7 @@ class Header:
     """Complete header: each meaning once, and the missing or repeated ones."""
 
     cells: int
-    places: dict[str, tuple[int, Column]]
+    columns: dict[str, tuple[int, Column]]
     """Columns by meaning."""
     ranges: tuple[tuple[int, Column], ...]
     """One; or one for each emitter."""
@@ -253,30 +253,30 @@ def header_of(cells: list[str], *, unit: str | None, is_single: bool) -> Header 
 
     `unit` applies to columns without one; with `is_single` all rows are of one emitter.
     """
-    places: dict[str, tuple[int, Column]] = {}
+    by_name: dict[str, tuple[int, Column]] = {}
     ranges: list[tuple[int, Column]] = []
-    for place, cell in enumerate(cells):
+    for index, cell in enumerate(cells):
         column = column_of(cell)
         if column is None:
             continue
         if column.name in ("range", "range_sigma") and not column.unit and unit is not None:
             column = Column(column.name, unit, column.of)
         if column.name == "range":
-            ranges.append((place, column))
+            ranges.append((index, column))
         else:
-            places.setdefault(column.name, (place, column))
+            by_name.setdefault(column.name, (index, column))
     if not ranges:
         return None
     with_unit = [each for each in ranges if each[1].unit]
     of_row = [each for each in ranges if not each[1].of]
-    known = "emitter" in places or "emitter_name" in places
+    known = "emitter" in by_name or "emitter_name" in by_name
     problem = None
     if not with_unit:
         problem = "distance has no unit: set unit, mm, cm or m"
     elif of_row and not known and not is_single:
         problem = "no emitter column known: set single_emitter=true if there is one emitter"
     chosen = [each for each in of_row if each[1].unit][:1] if of_row else with_unit
-    return Header(len(cells), places, tuple(chosen), problem)
+    return Header(len(cells), by_name, tuple(chosen), problem)
 
 
 class AndroidRttOptions(Params, frozen=True):
@@ -325,7 +325,7 @@ class AndroidRttDecoder(FieldDecoder):
         cells = columns(line, self._delimiter)
         if len(cells) != header.cells:
             return self.refused(f"row of {len(cells)} cells below a header of {header.cells}")
-        row = {name: cells[place] for name, (place, _) in header.places.items()}
+        row = {name: cells[index] for name, (index, _) in header.columns.items()}
         problem = header.problem or self._complain_of(row)
         return self.refused(problem) if problem is not None else self._read(header, row, cells)
 
@@ -386,19 +386,19 @@ class AndroidRttDecoder(FieldDecoder):
             texts["quality"] = f"{quality:.6f}"
         if dbm(row.get("power")) is not None:
             texts["power_dbm"] = row["power"]
-        if "range_sigma" in row and header.places["range_sigma"][1].unit in LENGTHS:
-            texts[f"range_sigma_{header.places['range_sigma'][1].unit}"] = row["range_sigma"]
+        if "range_sigma" in row and header.columns["range_sigma"][1].unit in LENGTHS:
+            texts[f"range_sigma_{header.columns['range_sigma'][1].unit}"] = row["range_sigma"]
         if "time" in row:
-            unit = self._time_unit(header.places["time"][1].unit, row["time"])
+            unit = self._time_unit(header.columns["time"][1].unit, row["time"])
             texts |= {f"time_{unit}": row["time"]} if unit else {}
         readings = []
-        for place, column in header.ranges:
-            if cells[place]:
+        for index, column in header.ranges:
+            if cells[index]:
                 quantity = "range" if column.unit in LENGTHS else "rtt"
                 own = {"emitter": column.of} if column.of else {}
-                found = {**texts, **own, f"{quantity}_{column.unit}": cells[place]}
+                found = {**texts, **own, f"{quantity}_{column.unit}": cells[index]}
                 readings += self.read_fields(found)
-        if not any(cells[place] for place, _ in header.ranges):
+        if not any(cells[index] for index, _ in header.ranges):
             return self.refused("row without a distance")
         return readings
 

@@ -121,7 +121,7 @@ class IwFtmOptions(Params, frozen=True):
     """Selects how much of `iw`'s spread is used."""
 
     min_sigma_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.5
-    """The variance is that within one burst, without the error of the place."""
+    """The variance is that within one burst, without the error that the position shares."""
 
 
 class IwFtmDecoder(FieldDecoder):

@@ -84,8 +84,10 @@ class FlightReplay:
         if first is None:
             recorded = self.recorded
             estimates, setpoints = self.replayed.whole or recorded.size
-            place = "up to the damaged inputs: " if self.replayed.whole else ""
-            return f"IDENTICAL: {place}{estimates} estimates and {setpoints} setpoints, bit for bit"
+            extent = "up to the damaged inputs: " if self.replayed.whole else ""
+            return (
+                f"IDENTICAL: {extent}{estimates} estimates and {setpoints} setpoints, bit for bit"
+            )
         if not self.is_same_configuration:
             return f"another configuration, first different: {first}"
         if not self.is_exact:
@@ -132,21 +134,21 @@ def apart_m(recorded: Sequence[Json], replayed: Sequence[Json]) -> tuple[float, 
 
 
 def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, float]]:
-    """Return places by time; the number separates estimates of one time."""
-    places: dict[tuple[object, int], tuple[float, float]] = {}
+    """Return positions by time; the number separates estimates of one time."""
+    positions: dict[tuple[object, int], tuple[float, float]] = {}
     seen: Counter[object] = Counter()
     for line in lines:
-        time_s, place = line.get("t_s"), position_of(line)
+        time_s, position = line.get("t_s"), position_of(line)
         seen[time_s] += 1
-        if place is not None:
-            places[time_s, seen[time_s]] = place
-    return places
+        if position is not None:
+            positions[time_s, seen[time_s]] = position
+    return positions
 
 
 def position_of(line: Json) -> tuple[float, float] | None:
     """Return east and north of an estimate's line."""
-    place = line.get("position_enu_m")
-    match place:
+    position = line.get("position_enu_m")
+    match position:
         case [int() | float() as east_m, int() | float() as north_m, *_]:
             return float(east_m), float(north_m)
     return None

@@ -187,7 +187,7 @@ def replay_recording(path: Path, config: CompanionConfig) -> RadioReplay:
             target.listener.fuse_due(now_s + END_S, own)
     lines = [*filter(None, [damage_text(path, "line", damaged)]), *_radio_lines(stages)]
     if not poses:
-        return RadioReplay([*lines, *_unplaced_lines(targets)])
+        return RadioReplay([*lines, *_lines_without_positions(targets)])
     results = [
         result_of(target.queue.current, str(number), target.count, now_s)
         for number, target in sorted(targets.items())
@@ -219,7 +219,7 @@ def _refusals(result: TargetResult) -> str:
     return f"emitter {result.target_id}: {f'refused: {words}' if words else 'none refused'}"
 
 
-def _unplaced_lines(targets: dict[int, _Target]) -> list[str]:
+def _lines_without_positions(targets: dict[int, _Target]) -> list[str]:
     """Return the measurements of emitters in lines, where positions are unknown."""
     lines = []
     for number, target in sorted(targets.items()):

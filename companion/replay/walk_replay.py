@@ -232,8 +232,8 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
                 if own_sigma_m is not None:
                     cells.pop("own_sigma_m", None)
                 if any(cells.values()):
-                    place = f"{path}: line {reader.line_num}"
-                    rows.append(_walk_row(cells, place, numbers, stated))
+                    line = f"{path}: line {reader.line_num}"
+                    rows.append(_walk_row(cells, line, numbers, stated))
             return sorted(rows, key=lambda row: row.measurement.measured_at_s)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
@@ -243,16 +243,16 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
         raise ConfigError(f"{path}: not a CSV file: {error}") from error
 
 
-def _check_columns(present: Sequence[str], place: str) -> None:
+def _check_columns(present: Sequence[str], line: str) -> None:
     """Raise ConfigError for columns that no walk can be read from."""
     missing = [name for name in REQUIRED if name not in present]
     if missing:
-        raise ConfigError(f"{place}: missing column {', '.join(missing)}")
+        raise ConfigError(f"{line}: missing column {', '.join(missing)}")
     twice = [name for name in COLUMNS if present.count(name) > 1]
     if twice:
-        raise ConfigError(f"{place}: more than one column {', '.join(twice)}")
+        raise ConfigError(f"{line}: more than one column {', '.join(twice)}")
     if not any(name in present for name in MEASURED):
-        raise ConfigError(f"{place}: needs a column {' or '.join(MEASURED)}")
+        raise ConfigError(f"{line}: needs a column {' or '.join(MEASURED)}")
 
 
 def _cells(row: Mapping[str, str | None], has_points: bool) -> dict[str, str]:
@@ -264,28 +264,28 @@ def _cells(row: Mapping[str, str | None], has_points: bool) -> dict[str, str]:
 
 
 def _walk_row(
-    row: Mapping[str, str], place: str, numbers: dict[str, int], stated: WalkAccuracy
+    row: Mapping[str, str], line: str, numbers: dict[str, int], stated: WalkAccuracy
 ) -> WalkRow:
     target_id = row["target_id"]
     if not target_id:
-        raise ConfigError(f"{place}: target_id is empty")
-    t_s, east, north = (_needed(row, name, place) for name in REQUIRED[:3])
-    up = _number(row, "agent_z_m", place) or 0.0
-    truth_east, truth_north = (_measured(row, f"target_{axis}_m", place) for axis in "xy")
+        raise ConfigError(f"{line}: target_id is empty")
+    t_s, east, north = (_needed(row, name, line) for name in REQUIRED[:3])
+    up = _number(row, "agent_z_m", line) or 0.0
+    truth_east, truth_north = (_measured(row, f"target_{axis}_m", line) for axis in "xy")
     if not all(abs(metres) <= FARTHEST_M for metres in (east, north, up)):
-        raise ConfigError(f"{place}: agent_x_m, agent_y_m, agent_z_m: no place on the Earth")
+        raise ConfigError(f"{line}: agent_x_m, agent_y_m, agent_z_m: no position on the Earth")
     truth = None if truth_east is None or truth_north is None else (truth_east, truth_north)
-    own_m = _sigma(row, "own_sigma_m", place, stated.own_sigma_m)
-    yaw_rad = _sigma(row, "own_yaw_sigma_rad", place, stated.own_yaw_sigma_rad)
+    own_m = _sigma(row, "own_sigma_m", line, stated.own_sigma_m)
+    yaw_rad = _sigma(row, "own_yaw_sigma_rad", line, stated.own_yaw_sigma_rad)
     return WalkRow(
         target_id=target_id,
         measurement=RangingMeasurement(
             emitter_id=numbers.setdefault(target_id, len(numbers)),
             measured_at_s=t_s,
-            range_m=_measured(row, "range_m", place),
-            bearing_enu_rad=_bearing(row, place),
-            elevation_rad=_measured(row, "elevation_rad", place),
-            power_dbm=_measured(row, "power_dbm", place),
+            range_m=_measured(row, "range_m", line),
+            bearing_enu_rad=_bearing(row, line),
+            elevation_rad=_measured(row, "elevation_rad", line),
+            power_dbm=_measured(row, "power_dbm", line),
         ),
         agent_enu_m=(east, north, up),
         truth_enu_m=truth,
@@ -296,44 +296,44 @@ def _walk_row(
     )
 
 
-def _sigma(row: Mapping[str, str], name: str, place: str, stated: float | None) -> float | None:
+def _sigma(row: Mapping[str, str], name: str, line: str, stated: float | None) -> float | None:
     """Return a row's standard deviation, or the one of the whole walk."""
-    value = _number(row, name, place)
+    value = _number(row, name, line)
     if value is None:
         return stated
     if not 0.0 <= value < math.inf:
-        raise ConfigError(f"{place}: {name} must be finite and not negative")
+        raise ConfigError(f"{line}: {name} must be finite and not negative")
     return value
 
 
-def _number(row: Mapping[str, str], name: str, place: str) -> float | None:
+def _number(row: Mapping[str, str], name: str, line: str) -> float | None:
     text = row.get(name)
     if not text:
         return None
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"{place}: {name} is not a number: `{text}`") from None
+        raise ConfigError(f"{line}: {name} is not a number: `{text}`") from None
 
 
-def _measured(row: Mapping[str, str], name: str, place: str) -> float | None:
+def _measured(row: Mapping[str, str], name: str, line: str) -> float | None:
     """Return a measured value; None for an empty cell, or for NaN, which arrays write instead."""
-    value = _number(row, name, place)
+    value = _number(row, name, line)
     return None if value is None or math.isnan(value) else value
 
 
-def _bearing(row: Mapping[str, str], place: str) -> float | None:
+def _bearing(row: Mapping[str, str], line: str) -> float | None:
     """Return a bearing, from -pi to pi; a file may also count from 0 to 2 pi."""
-    value = _measured(row, "bearing_rad", place)
+    value = _measured(row, "bearing_rad", line)
     if value is None or not math.pi < abs(value) <= 2.0 * math.pi:
         return value
     return math.remainder(value, 2.0 * math.pi)
 
 
-def _needed(row: Mapping[str, str], name: str, place: str) -> float:
-    value = _number(row, name, place)
+def _needed(row: Mapping[str, str], name: str, line: str) -> float:
+    value = _number(row, name, line)
     if value is None or not math.isfinite(value):
-        raise ConfigError(f"{place}: {name} must be a finite number")
+        raise ConfigError(f"{line}: {name} must be a finite number")
     return value
 
 

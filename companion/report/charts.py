@@ -79,12 +79,14 @@ class SvgPlot:
 
     def line(self, points: Iterable[Point], style: str) -> None:
         """Add a curve through points."""
-        self._parts.append(f'<polyline class="{style}" points="{self._places(points)}"/>')
+        self._parts.append(f'<polyline class="{style}" points="{self._coordinates(points)}"/>')
 
     def area(self, corners: Iterable[Point], style: str, opacity: float = 1.0) -> None:
         """Add a polygon."""
         faint = "" if opacity == 1.0 else f' opacity="{opacity:.2f}"'
-        self._parts.append(f'<polygon class="{style}"{faint} points="{self._places(corners)}"/>')
+        self._parts.append(
+            f'<polygon class="{style}"{faint} points="{self._coordinates(corners)}"/>'
+        )
 
     def dots(self, points: Iterable[Point], style: str, radius: float = 1.6) -> None:
         """Add a dot at every point, as one path so that thousands stay light."""
@@ -113,9 +115,9 @@ class SvgPlot:
             f"{title}</circle>"
         )
 
-    def cross(self, place: Point, style: str, name: str) -> None:
+    def cross(self, position: Point, style: str, name: str) -> None:
         """Add a cross with a name."""
-        cx, cy = self.x.at(place[0]), self.y.at(place[1])
+        cx, cy = self.x.at(position[0]), self.y.at(position[1])
         self._parts.append(
             f'<path class="{style}" d="M{cx - 6:.1f} {cy:.1f}h12M{cx:.1f} {cy - 6:.1f}v12">'
             f"<title>{escape(name)}</title></path>"
@@ -157,7 +159,7 @@ class SvgPlot:
             parts.append(_tick(line, "end", (x.start - 6, py + 4), value))
         return "".join(parts)
 
-    def _places(self, points: Iterable[Point]) -> str:
+    def _coordinates(self, points: Iterable[Point]) -> str:
         return " ".join(
             f"{self.x.at(px):.1f},{self.y.at(py):.1f}" for px, py in thin_points(list(points))
         )
@@ -180,9 +182,9 @@ def thin_points(points: Sequence[Point]) -> Sequence[Point]:
 
 def square_around(points: Iterable[Point], margin: float) -> tuple[float, float, float, float]:
     """Return west, east, south and north of the square that holds all points."""
-    places = list(points)
-    east = [p[0] for p in places]
-    north = [p[1] for p in places]
+    corners = list(points)
+    east = [p[0] for p in corners]
+    north = [p[1] for p in corners]
     half = max(max(east) - min(east), max(north) - min(north)) / 2.0 + margin
     cx, cy = (max(east) + min(east)) / 2.0, (max(north) + min(north)) / 2.0
     return cx - half, cx + half, cy - half, cy + half
@@ -230,7 +232,7 @@ class TimeCurve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapLayers:
-    """Contents of the map; places are local east and north, metres."""
+    """Contents of the map; positions are local east and north, metres."""
 
     track_enu_m: Sequence[Point]
     estimates: Sequence[EstimatePoint]
@@ -248,7 +250,7 @@ class MapLayers:
 def flight_map(layers: MapLayers) -> Markup:
     """Draw the track, the waypoints, and the shrinking 95 % ellipses, as large as the flight."""
     flown = [*layers.track_enu_m, *layers.waypoints_enu_m, *layers.area_enu_m]
-    flown += [*layers.truth_enu_m.values(), *(point.place_enu_m for point in layers.estimates)]
+    flown += [*layers.truth_enu_m.values(), *(point.position_enu_m for point in layers.estimates)]
     bounds = square_around(flown or layers.fence_enu_m or [(0.0, 0.0)], MAP_MARGIN_M)
     west, east, south, north = bounds
     drawing = SvgPlot(MAP_SIZE, MAP_SIZE - 16.0, (west, east), (south, north), "Map of the flight")
@@ -264,17 +266,17 @@ def flight_map(layers: MapLayers) -> Markup:
         _draw_ellipses(drawing, points, east - west)
     drawing.line(layers.track_enu_m, "track")
     drawing.dots(layers.waypoints_enu_m, "waypoint", 3.0)
-    for name, place in layers.truth_enu_m.items():
-        drawing.cross(place, "truth", name)
+    for name, position in layers.truth_enu_m.items():
+        drawing.cross(position, "truth", name)
     for name, points in by_name.items():
         last = points[-1]
         drawing.circle(
-            last.place_enu_m, last.r95_m, "radius", f"{name}, R95 {last.r95_m:.2f} m relative"
+            last.position_enu_m, last.r95_m, "radius", f"{name}, R95 {last.r95_m:.2f} m relative"
         )
         if last.absolute_r95_m is not None:
             about = f"{name}, R95 {last.absolute_r95_m:.2f} m absolute"
-            drawing.circle(last.place_enu_m, last.absolute_r95_m, "absolute", about)
-        drawing.cross(last.place_enu_m, "place", name)
+            drawing.circle(last.position_enu_m, last.absolute_r95_m, "absolute", about)
+        drawing.cross(last.position_enu_m, "position", name)
     return Markup(drawing.svg())
 
 
@@ -298,7 +300,9 @@ def _draw_ellipses(drawing: SvgPlot, points: Sequence[EstimatePoint], width_m: f
     for number, point in enumerate(chosen):
         if point.covariance_m2 is None or 2.0 * point.r95_m > width_m:
             continue
-        corners = ellipse_95(point.place_enu_m, point.covariance_m2).corners_enu_m(ELLIPSE_CORNERS)
+        corners = ellipse_95(point.position_enu_m, point.covariance_m2).corners_enu_m(
+            ELLIPSE_CORNERS
+        )
         strength = FAINTEST + (1.0 - FAINTEST) * number / max(1, len(chosen) - 1)
         drawing.area(corners, "ellipse", strength)
 
@@ -434,5 +438,5 @@ def _picture(folder: Path, origin: LocalOrigin, x: int, y: int, zoom: int) -> Pi
         return None
     url = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     corners = (corner_of(x, y, zoom), corner_of(x + 1, y + 1, zoom))
-    places = [origin.enu_from_geodetic(*corner, origin.altitude_m) for corner in corners]
-    return Picture(url, places[0][:2], places[1][:2])
+    corners_enu_m = [origin.enu_from_geodetic(*corner, origin.altitude_m) for corner in corners]
+    return Picture(url, corners_enu_m[0][:2], corners_enu_m[1][:2])

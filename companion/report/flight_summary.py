@@ -36,8 +36,8 @@ Number = Annotated[float, msgspec.Meta(ge=-3.4e38, le=3.4e38)]
 Metres = Annotated[float, msgspec.Meta(ge=-4e7, le=4e7)]
 """Coordinate or radius in m: the Earth is 40,000 km around."""
 Scale = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
-Place = tuple[Metres, Metres]
-Polygons = tuple[list[Place], list[list[Place]]]
+EastNorth = tuple[Metres, Metres]
+Polygons = tuple[list[EastNorth], list[list[EastNorth]]]
 LEAST_CORNERS = 3
 GUARD_WORDS = {reason.name.lower(): reason.value for reason in GuardReason}
 
@@ -47,14 +47,13 @@ class EstimatePoint(
     frozen=True,
     rename={
         "time_s": "t_s",
-        "place_enu_m": "position_enu_m",
         "range_innovation_m": "range_innovation",
     },
 ):
     """One estimate, made from its line of the event log."""
 
     time_s: Number
-    place_enu_m: Place
+    position_enu_m: EastNorth
     r95_m: Metres
     state: str = ""
     sensor_enu_m: Annotated[tuple[Metres, ...], msgspec.Meta(min_length=2)] | None = None
@@ -76,7 +75,7 @@ class EstimatePoint(
 
 
 class _WaypointLine(msgspec.Struct):
-    position_enu_m: Place
+    position_enu_m: EastNorth
 
 
 class _PositionLine(msgspec.Struct):
@@ -94,8 +93,8 @@ class _OriginLine(msgspec.Struct):
 
 
 class _FenceLine(msgspec.Struct):
-    polygon_enu_m: Annotated[list[Place], msgspec.Meta(min_length=LEAST_CORNERS)]
-    keep_out_enu_m: list[list[Place]] = []
+    polygon_enu_m: Annotated[list[EastNorth], msgspec.Meta(min_length=LEAST_CORNERS)]
+    keep_out_enu_m: list[list[EastNorth]] = []
 
 
 T = TypeVar("T")

@@ -194,7 +194,7 @@ def _map_note(layers: MapLayers) -> str:
         "dashed green: the fence": layers.fence_enu_m,
         "red areas: keep-outs": layers.keep_outs_enu_m,
     }
-    drawn = "; ".join(words for words, places in signs.items() if places)
+    drawn = "; ".join(words for words, points in signs.items() if points)
     return f"North is up; {drawn}." if drawn else "North is up."
 
 
@@ -220,26 +220,28 @@ def _figures(summary: FlightSummary, facts: FlightFacts) -> list[tuple[str, str]
         if isinstance(latitude_deg, float) and isinstance(longitude_deg, float):
             emitter = f" {result.get('emitter_id')}" if len(summary.results) > 1 else ""
             radius_m = result.get("absolute_r95_m", result.get("r95_m"))
-            rows += _places((latitude_deg, longitude_deg), radius_m, emitter)
+            rows += _position_rows((latitude_deg, longitude_deg), radius_m, emitter)
     if summary.last is not None:
-        east_m, north_m = summary.last.place_enu_m
+        east_m, north_m = summary.last.position_enu_m
         if summary.origin is not None and not summary.results:
-            place = summary.origin.geodetic_from_enu((east_m, north_m, 0.0))[:2]
-            rows += _places(place, summary.last.absolute_r95_m or summary.last.r95_m)
+            position_deg = summary.origin.geodetic_from_enu((east_m, north_m, 0.0))[:2]
+            rows += _position_rows(position_deg, summary.last.absolute_r95_m or summary.last.r95_m)
         rows.append(("Last estimate", f"east {east_m:.2f} m, north {north_m:.2f} m"))
     rows.append(("Estimates", str(len(summary.estimates))))
     rows.append(("Estimator", facts.config.estimation.kind))
     return [*rows, ("Planner", str(facts.config.planner.flown))]
 
 
-def _places(place: Point, radius_m: object, emitter: str = "") -> list[tuple[str, str]]:
-    """Return a place on the Earth in degrees, and as MGRS no finer than its radius, or nothing."""
-    if abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+def _position_rows(
+    position_deg: Point, radius_m: object, emitter: str = ""
+) -> list[tuple[str, str]]:
+    """Return rows of a position in degrees, and as MGRS no finer than its radius, or none."""
+    if abs(position_deg[0]) > 90.0 or abs(position_deg[1]) > 180.0:
         return []
     known_m = radius_m if isinstance(radius_m, float) else 1.0
     return [
-        (f"Position{emitter}", f"{place[0]:.7f}, {place[1]:.7f}"),
-        (f"Grid{emitter}", mgrs_text(place, known_m)),
+        (f"Position{emitter}", f"{position_deg[0]:.7f}, {position_deg[1]:.7f}"),
+        (f"Grid{emitter}", mgrs_text(position_deg, known_m)),
     ]
 
 

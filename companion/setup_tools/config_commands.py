@@ -134,11 +134,11 @@ def _leaves(record: object, path: str) -> Iterator[tuple[str, object]]:
     names = getattr(record, "__struct_fields__", ())
     keys = getattr(record, "__struct_encode_fields__", ())
     for name, key in zip(names, keys, strict=True):
-        value, place = getattr(record, name), f"{path}{key}"
+        value, key_path = getattr(record, name), f"{path}{key}"
         if isinstance(value, msgspec.Struct):
-            yield from _leaves(value, f"{place}.")
+            yield from _leaves(value, f"{key_path}.")
         else:
-            yield place, value
+            yield key_path, value
 
 
 def _flow(value: object) -> str:
@@ -236,13 +236,13 @@ class Tile:
 
 def run_tiles(arguments: argparse.Namespace) -> int:
     """Fetch missing tiles, and return the exit code."""
-    places = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
+    tiles = wanted_tiles(arguments.around, arguments.radius, arguments.zoom)
     if not arguments.url.startswith(("http://", "https://")):
         raise ConfigError(f"{arguments.url}: must begin with http:// or https://")
     if not all(part in arguments.url for part in ("{z}", "{x}", "{y}")):
         raise ConfigError(f"{arguments.url}: must have {{z}}, {{x}} and {{y}} in it")
     url = arguments.url
-    missing = [each for each in places if not _file(arguments.folder, *each).exists()]
+    missing = [each for each in tiles if not _file(arguments.folder, *each).exists()]
     count, folder = _stored(_fetched(url, missing), arguments.folder), arguments.folder
     sys.stdout.write(f"{count} tiles in {folder}; show them with: --web-tiles {folder}\n")
     return 0
@@ -255,7 +255,7 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
     except ValueError:
         raise ConfigError(f"--around {around}: give LAT,LON in degrees, as in 47.4,8.55") from None
     if not (abs(latitude_deg) <= LATITUDES_DEG and abs(longitude_deg) <= 180.0):
-        raise ConfigError(f"--around {around}: no such place on a map of tiles")
+        raise ConfigError(f"--around {around}: no such position on a map of tiles")
 
     match = re.fullmatch(r"(\d+)(?:-(\d+))?", zooms)
     least = int(match[1]) if match else -1
@@ -279,9 +279,9 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
     return wanted
 
 
-def _fetched(url: str, places: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
+def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
     """Yield tiles one after the other, unhurried; those before a failure are kept by the caller."""
-    for zoom, x, y in places:
+    for zoom, x, y in tiles:
         address = url.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
         agent = {"User-Agent": f"companion-guidance/{__version__}"}
         try:

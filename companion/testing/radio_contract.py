@@ -203,7 +203,7 @@ class _Trial:
             self._again(what, self.feed(what, stream, decoder=decoder))
 
     def check_flips(self, has_checksum: bool) -> None:
-        """Check one byte flipped at each place, in every way where no value may come of it."""
+        """Check one byte flipped at each position, in every way where no value may come of it."""
         there = Counter(golden_lines(self.expected).splitlines())
         for at in range(len(self.stream)):
             for flip in FLIPS if has_checksum else (FLIPS[at % len(FLIPS)],):

@@ -105,24 +105,24 @@ class FlightTrack(History[Point]):
         """The corners and the latest position."""
         return self.items if self._end is None else [*self.items, self._end]
 
-    def add(self, place: Point) -> None:
+    def add(self, position: Point) -> None:
         """Add the next position."""
         if not self.items:
-            self.items.append(place)
+            self.items.append(position)
             return
-        (east, north), (from_east, from_north) = place, self.items[-1]
+        (east, north), (from_east, from_north) = position, self.items[-1]
         far_m = math.hypot(east - from_east, north - from_north)
         direction_rad = math.atan2(north - from_north, east - from_east)
         half_rad = math.asin(min(1.0, self._tolerance_m / far_m)) if far_m > 0.0 else math.pi
         if self._end is None:
             if far_m > self._tolerance_m:
-                self._end, self._reach_m = place, far_m
+                self._end, self._reach_m = position, far_m
                 self._ahead_rad, self._sector_rad = direction_rad, (-half_rad, half_rad)
             return
         aside_rad = math.remainder(direction_rad - self._ahead_rad, math.tau)
         low_rad, high_rad = self._sector_rad
         if low_rad <= aside_rad <= high_rad and far_m >= self._reach_m - self._tolerance_m:
-            self._end, self._reach_m = place, max(self._reach_m, far_m)
+            self._end, self._reach_m = position, max(self._reach_m, far_m)
             self._sector_rad = (
                 max(low_rad, aside_rad - half_rad),
                 min(high_rad, aside_rad + half_rad),
@@ -136,7 +136,7 @@ class FlightTrack(History[Point]):
             self._tolerance_m *= 2.0
             for corner in corners:
                 self.add(corner)
-        self.add(place)
+        self.add(position)
 
     def clear(self) -> None:
         """Remove all corners for another frame."""

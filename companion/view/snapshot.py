@@ -221,9 +221,9 @@ def _antenna_view(endpoint: CompanionEndpoint, now_s: float) -> Json | None:
     return {"ahead": points[0], "outline": points[1:]}
 
 
-def _met_on_ground(place: PositionEnu, ray: PositionEnu, height_m: float) -> Point:
+def _met_on_ground(sensor_enu_m: PositionEnu, ray: PositionEnu, height_m: float) -> Point:
     """Return the point where a ray meets the ground, or the one at `VIEW_REACH_M`."""
-    (east, north, _), (e, n, u) = place, ray
+    (east, north, _), (e, n, u) = sensor_enu_m, ray
     level = math.hypot(e, n)
     reach_m = level * height_m / -u if u < 0.0 < height_m else VIEW_REACH_M
     share = min(reach_m, VIEW_REACH_M) / level if level > 0.0 else 0.0
@@ -241,7 +241,7 @@ def _estimate(estimate: TargetEstimate) -> Json:
     return {
         "state": estimate.state.value,
         "words": _words(estimate),
-        "place": estimate.position_enu_m,
+        "position": estimate.position_enu_m,
         "ellipse": ellipse.corners_enu_m(),
         "r95_m": estimate.r95_m,
         "absolute_r95_m": estimate.absolute_r95_m,
@@ -263,7 +263,7 @@ def _emitter(emitter: EmitterStatus) -> Json:
     return {
         "name": str(emitter.emitter_id),
         "state": words,
-        "place": None if estimate is None else estimate.position_enu_m,
+        "position": None if estimate is None else estimate.position_enu_m,
         "r95_m": None if estimate is None else estimate.r95_m,
         "absolute_r95_m": None if estimate is None else estimate.absolute_r95_m,
         "is_current": emitter.is_current,
@@ -279,7 +279,7 @@ def radio_words(endpoint: CompanionEndpoint, now_s: float) -> tuple[tuple[str, s
 
 def _waypoint(waypoint: Waypoint) -> Json:
     return {
-        "place": waypoint.position_enu_m,
+        "position": waypoint.position_enu_m,
         "reason": waypoint.reason.value,
         "detail": waypoint.detail,
     }

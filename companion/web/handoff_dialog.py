@@ -1,6 +1,6 @@
-"""A hand-off for the ground team: the place as text, as a QR code and as files for their maps.
+"""A hand-off for the ground team: the position as text, as a QR code and as files for their maps.
 
-Imported when the button is pressed: places on the Earth need libraries of some size.
+Imported when the button is pressed: geodetic positions need libraries of some size.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Found(msgspec.Struct, frozen=True):
 
     @property
     def handoff(self) -> Handoff:
-        """The place on the Earth."""
+        """Position on the Earth, with its uncertainty and time."""
         return handoff_of(self.emitter, self.estimate, self.origin, self.unix_s)
 
 
@@ -45,7 +45,7 @@ def fill(found: object) -> None:
     """Fill the open dialog with the located emitters."""
     handoffs = [each.handoff for each in msgspec.convert(found, list[Found])]
     for handoff in handoffs:
-        _place(handoff)
+        _show(handoff)
     ui.label("Files for maps and ATAK").classes("muted")
     with ui.row().classes("gap-2"):
         _file("GeoJSON", "handoff.geojson", geojson(handoffs).encode())
@@ -55,13 +55,13 @@ def fill(found: object) -> None:
             _file(label, f"emitter-{handoff.emitter}.cot", cot_event(handoff, SENDER))
 
 
-def _place(handoff: Handoff) -> None:
-    """Show the place as text for the radio, and as a code for a phone."""
-    radius_m, place = handoff.absolute_r95_m, handoff.place_deg
+def _show(handoff: Handoff) -> None:
+    """Show the position as text for the radio, and as a code for a phone."""
+    radius_m, position_deg = handoff.absolute_r95_m, handoff.position_deg
     texts = {
-        "grid": mgrs_text(place, radius_m),
-        "degrees": degrees_text(place),
-        "minutes": minutes_text(place),
+        "grid": mgrs_text(position_deg, radius_m),
+        "degrees": degrees_text(position_deg),
+        "minutes": minutes_text(position_deg),
     }
     with ui.row().classes("w-full items-center gap-4"):
         with ui.column().classes("gap-1"):
@@ -74,9 +74,9 @@ def _place(handoff: Handoff) -> None:
                     copy_button(f"{form}-{handoff.emitter}")
             ui.label(f"Search the whole circle, {radius_m:.1f} m about it.").classes("numbers")
             ui.label(handoff.time_utc).classes("muted numbers")
-        code = segno.make(geo_uri(place), error="m").svg_data_uri(scale=4, light="#ffffff")
+        code = segno.make(geo_uri(position_deg), error="m").svg_data_uri(scale=4, light="#ffffff")
         picture = ui.element("img").classes("qr")
-        picture.props["src"], picture.props["alt"] = code, f"QR code of {geo_uri(place)}"
+        picture.props["src"], picture.props["alt"] = code, f"QR code of {geo_uri(position_deg)}"
 
 
 def _file(label: str, name: str, content: bytes) -> None:

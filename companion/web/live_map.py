@@ -75,10 +75,10 @@ class Collector(FlightView):
     def record(self, kind: str, fields: Mapping[str, object], now_s: float) -> None:
         """Add an event of the flight log."""
         if kind == "origin":
-            place = (fields.get("latitude_deg"), fields.get("longitude_deg"))
-            if place != self._origin_deg:
+            origin_deg = (fields.get("latitude_deg"), fields.get("longitude_deg"))
+            if origin_deg != self._origin_deg:
                 self._track.clear()  # earlier positions are in another frame
-            self._origin_deg = place
+            self._origin_deg = origin_deg
         elif kind == "position":
             self._track.add(tuple(fields["position_enu_m"])[:2])  # type: ignore[arg-type]
         elif kind == "estimate":
@@ -394,7 +394,7 @@ class WebView(Collector):
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
         """Return located emitters and the origin, from which the page makes hand-offs on request.
 
-        Places on the Earth would cost the flight some ten milliseconds each.
+        Their geodetic positions would cost the flight some ten milliseconds each.
         """
         origin = endpoint.session.vehicle.origin
         if origin is None:

@@ -83,7 +83,7 @@ class Numbers:
     """The figures that matter for the search."""
 
     NAMES = (
-        *("relative", "time to go", "position", "grid", "place", "offsets", "reflected"),
+        *("relative", "time to go", "position", "grid", "local", "offsets", "reflected"),
         *("vehicle", "battery", "next", "fence"),
     )
 
@@ -125,11 +125,11 @@ def _of_estimate(picture: Json) -> dict[str, str]:
     estimate = picture["estimate"]
     if estimate is None:
         return {}
-    east, north = estimate["place"]
+    east, north = estimate["position"]
     return {
         **_on_earth(estimate, picture.get("frame")),
         "relative": f"{estimate['r95_m']:.2f} m to vehicle ({estimate['own_words']})",
-        "place": f"{east:.1f} m east, {north:.1f} m north",
+        "local": f"{east:.1f} m east, {north:.1f} m north",
         "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
         f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
         "reflected": f"{100 * picture['nlos_share']:.0f} % of the ranges",
@@ -144,10 +144,10 @@ def _on_earth(estimate: Json, frame: Json | None) -> dict[str, str]:
     from companion.handoff import degrees_text, mgrs_text  # some size, and in this process only
 
     origin = msgspec.convert(frame, LocalOrigin)
-    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*estimate["place"], 0.0))
-    place = (latitude_deg, longitude_deg)
-    grid = mgrs_text(place, estimate["absolute_r95_m"])
-    return {"position": degrees_text(place), "grid": grid}
+    latitude_deg, longitude_deg, _ = origin.geodetic_from_enu((*estimate["position"], 0.0))
+    position_deg = (latitude_deg, longitude_deg)
+    grid = mgrs_text(position_deg, estimate["absolute_r95_m"])
+    return {"position": degrees_text(position_deg), "grid": grid}
 
 
 COPY = """() => {

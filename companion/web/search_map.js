@@ -37,8 +37,8 @@ export default {
       zoomSnap: 0.25, attributionControl: false, preferCanvas: false,
     });
     // Leaflet draws on whole pixels, which makes a slim ellipse of few corners bumpy.
-    this.map.latLngToLayerPoint = (place) =>
-      this.map.project(L.latLng(place)).subtract(this.map.getPixelOrigin());
+    this.map.latLngToLayerPoint = (position) =>
+      this.map.project(L.latLng(position)).subtract(this.map.getPixelOrigin());
     this.map.setView([0, 0], this.hasTiles ? 17 : 2);
     if (this.hasTiles) {
       const [minNativeZoom, maxNativeZoom] = this.zooms;
@@ -131,8 +131,8 @@ export default {
       control.onAdd = () => box;
       control.addTo(this.map);
       this.map.on("mousemove click", ({ latlng }) => {
-        const place = this.hasTiles ? [latlng.lat, latlng.lng] : this.degrees(latlng);
-        box.textContent = this.origin ? place.map((each) => each.toFixed(6)).join(", ") : "";
+        const position = this.hasTiles ? [latlng.lat, latlng.lng] : this.degrees(latlng);
+        box.textContent = this.origin ? position.map((each) => each.toFixed(6)).join(", ") : "";
       });
     },
     degrees({ lat: north, lng: east }) {
@@ -160,13 +160,13 @@ export default {
       add("area", "estimate", "estimate, 95 % ellipse");
       add("dotted", "estimate", "R95, relative");
       add("dashed", "estimate", "R95, absolute");
-      add("dot", "second", "second possible place");
+      add("dot", "second", "second possible position");
       add("ring", "waypoint", "next waypoint");
       add("ring", "near", "range, line of sight");
       add("dashed", "far", "range, treated as reflected");
       add("edge", "fence", "fence that is kept");
       add("area", "keepOut", "keep-out");
-      if (this.scene.truth) add("ring", "truth", "true place (simulator)");
+      if (this.scene.truth) add("ring", "truth", "true position (simulator)");
       L.DomEvent.disableClickPropagation(box);
       const control = L.control({ position: "bottomright" });
       control.onAdd = () => box;
@@ -209,17 +209,17 @@ export default {
       const { estimate, vehicle } = this.picture || {};
       const points = [...(this.fence.polygon || SITE)];
       if (vehicle) points.push(vehicle);
-      if (estimate) points.push(estimate.place);
+      if (estimate) points.push(estimate.position);
       this.fit(points);
     },
     keepInView(picture) {
       const { estimate, vehicle, waypoint } = picture;
       const points = [];
       if (vehicle) points.push(...this.corners(vehicle, CLOSEST_M, 4));
-      if (waypoint && UNDER_WAY.includes(picture.phase)) points.push(waypoint.place);
+      if (waypoint && UNDER_WAY.includes(picture.phase)) points.push(waypoint.position);
       if (estimate) {
         const reachM = Math.max(CLOSEST_M, estimate.absolute_r95_m);
-        points.push(...this.corners(estimate.place, reachM, 4));
+        points.push(...this.corners(estimate.position, reachM, 4));
       }
       if (!points.length) return;
       const wanted = L.latLngBounds(points.map(this.at));
@@ -386,34 +386,34 @@ export default {
       if (!estimate) return;
       const color = this.colours.estimate;
       add(this.area(estimate.ellipse, { color, weight: 2, fillOpacity: 0.25, className: "ellipse" }));
-      add(this.ring(estimate.place, estimate.r95_m,
+      add(this.ring(estimate.position, estimate.r95_m,
         { color, weight: 1.5, dashArray: "2 4", className: "r95" }));
-      add(this.ring(estimate.place, estimate.absolute_r95_m,
+      add(this.ring(estimate.position, estimate.absolute_r95_m,
         { color, weight: 1, dashArray: "8 6", className: "absolute-r95" }));
-      add(this.dot(estimate.place, 4, { color, fillOpacity: 1, className: "estimate" }));
+      add(this.dot(estimate.position, 4, { color, fillOpacity: 1, className: "estimate" }));
       if (estimate.alternative) {
         add(this.dot(estimate.alternative, 6, { color: this.colours.second, className: "second" }));
       }
     },
     drawOthers(emitters, add) {
       for (const emitter of emitters) {
-        if (emitter.is_current || !emitter.place) continue;
+        if (emitter.is_current || !emitter.position) continue;
         const color = emitter.is_reported ? this.colours.reported : this.colours.estimate;
-        add(this.ring(emitter.place, emitter.r95_m,
+        add(this.ring(emitter.position, emitter.r95_m,
           { color, weight: 1, dashArray: "2 4", className: "other-r95" }));
-        add(this.ring(emitter.place, emitter.absolute_r95_m,
+        add(this.ring(emitter.position, emitter.absolute_r95_m,
           { color, weight: 1, dashArray: "8 6", className: "other-absolute-r95" }));
-        add(this.dot(emitter.place, 5, { color, fillOpacity: 0.6, className: "other-emitter" }));
+        add(this.dot(emitter.position, 5, { color, fillOpacity: 0.6, className: "other-emitter" }));
       }
     },
     drawPlan(picture, add) {
       if (!picture.waypoint || !UNDER_WAY.includes(picture.phase)) return;
       const color = this.colours.waypoint;
       if (picture.vehicle) {
-        add(this.line([picture.vehicle.slice(0, 2), picture.waypoint.place],
+        add(this.line([picture.vehicle.slice(0, 2), picture.waypoint.position],
           { color, weight: 1.5, dashArray: "4 4" }));
       }
-      add(this.dot(picture.waypoint.place, 6, { color, className: "waypoint" }));
+      add(this.dot(picture.waypoint.position, 6, { color, className: "waypoint" }));
     },
   },
 };

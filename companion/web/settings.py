@@ -92,7 +92,7 @@ NO_TILE = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
     "0000000b49444154789c6360000200000500017a5eab3f0000000049454e44ae426082"
 )
-"""One transparent pixel as PNG, for a place without a tile."""
+"""One transparent pixel as PNG, where there is no tile."""
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:

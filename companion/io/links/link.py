@@ -178,8 +178,8 @@ class SendQueue:
     def _drop_one(self) -> bool:
         """Drop the oldest droppable chunk, or else the oldest; return False if there was none."""
         begun = 1 if self._written else 0
-        places = range(begun, len(self._waiting))
-        spared = (place for place in places if self._waiting[place][1])
+        indices = range(begun, len(self._waiting))
+        spared = (index for index in indices if self._waiting[index][1])
         victim = next(spared, begun)
         if victim >= len(self._waiting):
             return False

@@ -246,7 +246,7 @@ class EventReader:
         position = _point(fields["position_enu_m"])
         point = EstimatePoint(
             time_s=time_s,
-            place_enu_m=position,
+            position_enu_m=position,
             r95_m=fields["r95_m"],
             state=fields["state"],
             range_innovation_m=fields.get("range_innovation"),

@@ -210,7 +210,7 @@ def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of
     point = record.last_estimate(emitter)
     if point is None:
         return False, "there is no estimate"
-    error_m = math.dist(point.place_enu_m, true_positions(mission)[emitter])
+    error_m = math.dist(point.position_enu_m, true_positions(mission)[emitter])
     if not of:
         return _judge_bound(error_m, bound, "m")
     radius_m = getattr(point, of)
@@ -391,7 +391,7 @@ class MissionResult:
         first = truth[self.mission.emitter.emitter_id]
         emitter = point.emitter_id
         position = first if emitter is None else truth.get(emitter, first)
-        return math.dist(point.place_enu_m, position)
+        return math.dist(point.position_enu_m, position)
 
     @property
     def is_inside_r95(self) -> bool | None:

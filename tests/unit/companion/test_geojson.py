@@ -21,7 +21,7 @@ def features(text: str) -> list[dict[str, Any]]:
 def test_longitude_comes_first() -> None:
     point = features(geojson([handoff()]))[0]["geometry"]
     assert point["type"] == "Point"
-    latitude, longitude = handoff().place_deg
+    latitude, longitude = handoff().position_deg
     assert point["coordinates"] == pytest.approx([longitude, latitude], abs=1e-7)
 
 

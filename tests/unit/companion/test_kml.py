@@ -14,7 +14,7 @@ def test_the_point_is_the_place_longitude_first() -> None:
     root = ET.fromstring(kml([handoff()]))
     coordinates = root.findtext(f".//{KML}Point/{KML}coordinates")
     assert coordinates is not None
-    latitude, longitude = handoff().place_deg
+    latitude, longitude = handoff().position_deg
     assert [float(v) for v in coordinates.split(",")] == pytest.approx([longitude, latitude])
 
 
@@ -28,7 +28,7 @@ def test_the_ellipse_is_closed() -> None:
 def test_a_second_place_has_its_own_mark() -> None:
     root = ET.fromstring(kml([handoff(alternative_enu_m=(30.0, 40.0))]))
     names = [name.text for name in root.findall(f".//{KML}Placemark/{KML}name")]
-    assert names == ["emitter 7", "emitter 7, second place", "emitter 7, 95 %"]
+    assert names == ["emitter 7", "emitter 7, second position", "emitter 7, 95 %"]
 
 
 def test_a_hostile_name_is_escaped_and_its_control_characters_are_gone() -> None:

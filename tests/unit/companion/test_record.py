@@ -6,7 +6,7 @@ from tests.unit.companion.handoff.handoff_helpers import ORIGIN, POSITION_ENU_M,
 
 
 def test_the_place_is_the_estimate_in_degrees() -> None:
-    east, north, _ = ORIGIN.enu_from_geodetic(*handoff().place_deg, handoff().altitude_m)
+    east, north, _ = ORIGIN.enu_from_geodetic(*handoff().position_deg, handoff().altitude_m)
     assert (east, north) == pytest.approx(POSITION_ENU_M, abs=1e-6)
     assert handoff().altitude_m == ORIGIN.altitude_m
 

@@ -9,7 +9,7 @@ from textwrap import dedent
 
 import pytest
 
-from companion.arguments import argument_parser, check_place_of_options
+from companion.arguments import argument_parser, check_order_of_options
 from sim_link.cli import SUBCOMMANDS, simulator_parser, subcommand_parser
 from sim_link.lab.conformance.cli import parsed_arguments
 from tests.unit.tools.test_commands_in_pages import PAGES, ROOT
@@ -63,7 +63,7 @@ def understand(words: list[str]) -> None:
     program, *rest = words
     match program:
         case "companion":
-            check_place_of_options(argument_parser().parse_args(rest))
+            check_order_of_options(argument_parser().parse_args(rest))
         case "sim-link" if rest and rest[0] in SUBCOMMANDS:
             subcommand_parser().parse_args(rest)
         case "sim-link":

@@ -6,9 +6,9 @@ from companion.config.schema import DEFAULT_FENCE
 from companion.doctor.findings import (
     AutopilotFacts,
     Facts,
+    FolderFacts,
     HostFacts,
     LinkFacts,
-    PlaceFacts,
     StreamRate,
 )
 from companion.domain import Autopilot, VehicleClass
@@ -55,8 +55,8 @@ HOST = HostFacts(
     can_compile_kernels=False,
     are_kernels_compiled=False,
     priority="real-time priority 1",
-    logs=PlaceFacts("flights", None, 20_000.0, 0.02),
-    state=PlaceFacts("/var/lib/companion", None, 20_000.0, 0.02),
+    logs=FolderFacts("flights", None, 20_000.0, 0.02),
+    state=FolderFacts("/var/lib/companion", None, 20_000.0, 0.02),
     key_problem=None,
     has_key=True,
     unix_s=1.8e9,

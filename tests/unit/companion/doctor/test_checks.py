@@ -9,7 +9,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig, LogConfig
 from companion.doctor.examination import examine, exit_code
-from companion.doctor.findings import CheckResult, Facts, Level, PlaceFacts, StreamRate
+from companion.doctor.findings import CheckResult, Facts, FolderFacts, Level, StreamRate
 from companion.domain import Autopilot
 from companion.guidance.readiness import FENCE_MESSAGE, REQUIREMENTS
 from companion.link.interface import VehicleParams
@@ -41,13 +41,13 @@ def test_a_vehicle_that_is_fit_has_nothing_to_mend() -> None:
     assert exit_code(findings) == 0
 
 
-FOLDER = PlaceFacts("flights", None, 20_000.0, 0.02)
+FOLDER = FolderFacts("flights", None, 20_000.0, 0.02)
 HOST_CASES = [
-    ("log.directory", host_with(logs=PlaceFacts("flights", "Read-only file system")), Level.FAIL),
+    ("log.directory", host_with(logs=FolderFacts("flights", "Read-only file system")), Level.FAIL),
     ("log.directory", host_with(logs=replace(FOLDER, free_mb=20.0)), Level.FAIL),
     ("log.directory", host_with(logs=replace(FOLDER, free_mb=500.0)), Level.WARN),
     ("log.directory", host_with(logs=replace(FOLDER, synced_write_s=3.0)), Level.WARN),
-    ("process.state_directory", host_with(state=PlaceFacts("s", "Permission denied")), Level.WARN),
+    ("process.state_directory", host_with(state=FolderFacts("s", "Permission denied")), Level.WARN),
     ("signing key", host_with(has_key=False), Level.WARN),
     ("signing key", host_with(key_problem="k: open to others (mode 0644)"), Level.FAIL),
     ("clock", host_with(unix_s=3600.0, has_key=False), Level.WARN),

@@ -12,7 +12,7 @@ def test_the_event_tells_place_error_and_when_it_is_stale() -> None:
     event = ET.fromstring(cot_event(handoff(r95_m=5.2), "companion-1"))
     point = event.find("point")
     assert point is not None
-    latitude, longitude = handoff().place_deg
+    latitude, longitude = handoff().position_deg
     assert float(point.attrib["lat"]) == pytest.approx(latitude, abs=1e-7)
     assert float(point.attrib["lon"]) == pytest.approx(longitude, abs=1e-7)
     assert point.attrib["ce"] == "9.0"  # 5.2 of the vehicle, and the 3 m that count for its own

@@ -307,7 +307,7 @@ def test_too_few_answers_are_refused() -> None:
 def test_answers_without_any_pose_are_refused() -> None:
     run = run_of(QUIET, line())
     far = [replace(m, measured_at_s=m.measured_at_s + 1e4) for m in run.measurements]
-    refusal(replace(run, measurements=far), "place is known")
+    refusal(replace(run, measurements=far), "position is known")
 
 
 def test_bearings_without_yaw_are_refused() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from companion.errors import LinkError
 from companion.io.links.transports import Pty, SerialPort, UdpBind, UdpConnect
-from companion.io.state_directory import VehicleLock, lock_name, place_of
+from companion.io.state_directory import VehicleLock, lock_name, resolved_address
 
 UDP = "udpin:127.0.0.1:14550"
 HOLD = """
@@ -46,9 +46,9 @@ def test_another_link_is_another_vehicle(tmp_path: Path) -> None:
 
 def test_another_spelling_of_a_host_is_the_same_vehicle(tmp_path: Path) -> None:
     links = [UdpConnect(host, 14580) for host in ("127.0.0.1", "localhost")]
-    first = VehicleLock(tmp_path, "udpout 127.0.0.1:14580", None, place_of(links[0]))
+    first = VehicleLock(tmp_path, "udpout 127.0.0.1:14580", None, resolved_address(links[0]))
     with pytest.raises(LinkError, match="udpout localhost:14580: another companion"):
-        VehicleLock(tmp_path, "udpout localhost:14580", None, place_of(links[1]))
+        VehicleLock(tmp_path, "udpout localhost:14580", None, resolved_address(links[1]))
     first.release()
 
 
@@ -57,14 +57,14 @@ def test_another_name_or_speed_of_a_serial_port_is_the_same_vehicle(tmp_path: Pa
     device.touch()
     by_id.symlink_to(device)
     links = (SerialPort(str(device), 57_600), SerialPort(str(by_id), 921_600))
-    assert place_of(links[0]) == place_of(links[1])
+    assert resolved_address(links[0]) == resolved_address(links[1])
 
 
 def test_a_pseudo_terminal_is_known_by_its_name_whether_it_is_open_or_not(tmp_path: Path) -> None:
     link = Pty(str(tmp_path / "vehicle"))
-    before = place_of(link)
+    before = resolved_address(link)
     (tmp_path / "vehicle").symlink_to("/dev/pts/0")
-    assert place_of(link) == before
+    assert resolved_address(link) == before
 
 
 def test_other_ports_hosts_and_kinds_are_other_vehicles() -> None:
@@ -75,7 +75,7 @@ def test_other_ports_hosts_and_kinds_are_other_vehicles() -> None:
         UdpBind("127.0.0.1", 14580),
         UdpConnect("nobody.invalid", 14580),
     )
-    assert len({place_of(link) for link in links}) == len(links)
+    assert len({resolved_address(link) for link in links}) == len(links)
 
 
 def test_vehicles_behind_one_router_are_told_apart_by_their_ids(tmp_path: Path) -> None:
