@@ -239,8 +239,8 @@ class Guard:
     def _restarted(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
 
-        In the margin that is walked in meanwhile: a wind keeps a vehicle beside its setpoint. But
-        never farther outside than the vehicle is.
+        In the margin the setpoint moves inwards meanwhile, because wind keeps a vehicle beside it;
+        it is never farther outside than the vehicle.
         """
         ve, vn = step.ground_mps
         passed = (step.vehicle[0] - step.start[0]) * ve + (step.vehicle[1] - step.start[1]) * vn

@@ -186,7 +186,7 @@ class FlightPlan:
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
         """Return a text when the estimate enters an area that is forbidden to the vehicle.
 
-        An estimate that crosses the fence to and fro is announced every `REPEAT_AFTER_S` at most.
+        An estimate that crosses the fence repeatedly is announced every `REPEAT_AFTER_S` at most.
         """
         fence = self._guard.limits.fence
         if estimate is None or fence is None:

@@ -131,7 +131,7 @@ class Track:
         return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, position, position_s)
 
     def late_s(self, sign: Sign, now_s: float) -> float:
-        """Return the delay of a sign over the promptest one, seconds; negative: ahead of it."""
+        """Return the delay of a sign over the least one so far, seconds; negative: ahead of it."""
         late_s = now_s - sign.stamp_s - self.offset_s
         return late_s - WRAP_S * round(late_s / WRAP_S)
 

@@ -243,7 +243,7 @@ class Header:
     columns: dict[str, tuple[int, Column]]
     """Columns by meaning."""
     ranges: tuple[tuple[int, Column], ...]
-    """One; or one for each emitter."""
+    """Range column, or one for each emitter."""
     problem: str | None = None
     """Reason why no row below it can be used."""
 

@@ -280,7 +280,7 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
 
 
 def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
-    """Yield tiles one after the other, unhurried; those before a failure are kept by the caller."""
+    """Yield tiles one by one, with pauses; those before a failure are kept by the caller."""
     for zoom, x, y in tiles:
         address = url.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
         agent = {"User-Agent": f"companion-guidance/{__version__}"}
