@@ -95,7 +95,7 @@ def _records(kind: Any, path: str = "") -> Iterator[tuple[str, list[Any]]]:
     """Yield every record below a type that is no item of a list, with its path."""
     for record in _plain(kind):
         for each in getattr(record, "fields", ()):
-            inner, place = _plain(each.type), f"{path}.{each.encode_name}".removeprefix(".")
+            inner, key_path = _plain(each.type), f"{path}.{each.encode_name}".removeprefix(".")
             if _names(inner):
-                yield place, inner
-                yield from _records(each.type, place)
+                yield key_path, inner
+                yield from _records(each.type, key_path)
