@@ -26,6 +26,7 @@ import yaml
 
 from companion import __version__
 from companion.config.loader import parse_value, read_text
+from companion.config.radios import radio_setups
 from companion.config.schema import (
     CompanionConfig,
     load_config,
@@ -199,6 +200,7 @@ def run(arguments: argparse.Namespace) -> int:
     for radio in arguments.radios:
         config = with_radios(config, [radio])
         steps.append((f"--radio {radio}", config))
+    radio_setups(config.radios)  # what a flight refuses
     values = shown_values(arguments.config, steps)
     if arguments.changed:
         values = [each for each in values if each.origin != DEFAULT]

@@ -75,6 +75,29 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
     )
 
 
+@pytest.mark.parametrize(
+    ("radio", "complaint"),
+    [
+        ("name: nlnk", "radio nlnk: no such radio; did you mean nlink?"),
+        (
+            "name: makerfabs_at, options: {hiden: tag}",
+            "radios[0] (makerfabs_at): options.hiden: unknown key; did you mean hidden?",
+        ),
+        (
+            "name: makerfabs_at, options: {hidden: tga}",
+            "radios[0] (makerfabs_at): options.hidden: Invalid enum value 'tga';"
+            " there are anchor, tag",
+        ),
+    ],
+)
+def test_a_radio_that_a_flight_refuses_is_refused(
+    capsys: pytest.CaptureFixture[str], site: Path, radio: str, complaint: str
+) -> None:
+    site.write_text(f"radios: [{{{radio}}}]")
+    assert main(["config", "show", "--config", str(site)]) == EXIT_BAD_INPUT
+    assert capsys.readouterr().err.startswith(f"companion: {complaint}")
+
+
 @pytest.fixture
 def jsonschema() -> ModuleType:
     """Return jsonschema, which is not imported at collection: it takes two seconds a worker."""
