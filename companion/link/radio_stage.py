@@ -10,6 +10,7 @@ the other half is refused.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 
 from companion.domain import (
@@ -20,7 +21,7 @@ from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
 from companion.link.interface import MOST_EMITTERS, EmitterNames, RadioSetup, printable
-from companion.radios.decoder import AngleFrame, RadioReading
+from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
 from companion.radios.fields import is_overflow_m
 
 MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
@@ -179,7 +180,11 @@ class RadioStage:
         if counts.frames:
             lines = "line or frame" if counts.frames == 1 else "lines or frames"
             return f"{counts.frames} {lines} understood, no measurement"
-        return f"no line or frame in {self.received} bytes; first: {_shown(self._first)}"
+        is_text = isinstance(self.decoder, LineDecoder) and self._first.isascii()
+        missing = (
+            "line end" if is_text and not re.search(b"[\r\n]", self._first) else "line or frame"
+        )
+        return f"no {missing} in {self.received} bytes; first: {_shown(self._first)}"
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] += 1

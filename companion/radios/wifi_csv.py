@@ -41,6 +41,7 @@ LENGTHS = ("mm", "cm", "m", "km", "ft")
 SUCCESSES = ("", "0", "success", "status_success", "ok")
 """Spellings of a successful status: Android's number, the name of its constant, and those of
 apps."""
+NO_NAME = "row without its emitter's name"
 DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 """Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""
 
@@ -110,6 +111,8 @@ class FtmCsvDecoder(FieldDecoder):
             return self.passed_over(line)
         if self._problem is not None or says_invalid(line):
             return self.refused(self._problem or NOT_VALID)
+        if named.get("emitter") == "":
+            return self.refused(NO_NAME)
         return self.read_fields({name: named[name] for name in named if name not in SKIPPED})
 
     def _unsigned(self, texts: Mapping[str, str], factor: float = 1.0) -> list[RadioReading]:
@@ -149,6 +152,8 @@ class FtmCsvDecoder(FieldDecoder):
             if count is not None and len(cells) == head + self.FRAME_COLUMNS * count:
                 if whole(cells[1]) is None or whole(cells[2]) is None:
                     break
+                if not cells[0]:
+                    return self.refused(NO_NAME)
                 texts = {"emitter": cells[0], "range_cm": cells[3]}
                 powers = [dbm(cell) for cell in cells[head + 1 :: self.FRAME_COLUMNS]]
                 known = [power for power in powers if power is not None]
@@ -381,6 +386,9 @@ class AndroidRttDecoder(FieldDecoder):
 
     def _read(self, header: Header, row: Mapping[str, str], cells: list[str]) -> list[RadioReading]:
         texts = {"emitter": (row.get("emitter") or row.get("emitter_name") or "").lower()}
+        is_named = "emitter" in row or "emitter_name" in row
+        if is_named and not texts["emitter"] and not self.options.single_emitter:
+            return self.refused(NO_NAME)
         quality = ratio(whole(row.get("successful")), whole(row.get("attempted")))
         if quality is not None:
             texts["quality"] = f"{quality:.6f}"

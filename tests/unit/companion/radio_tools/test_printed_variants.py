@@ -271,6 +271,22 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
         ),
         ("nlink@/dev/x", "\x00\x01\x02", "no line or frame in 3 bytes; first: 00 01 02"),
         ("nlink@/dev/x", "tag 7 -> 3.2 m\n", "no line or frame in 15 bytes; first: tag 7 -> 3.2 m"),
+        (
+            "ndjson@udp:127.0.0.1:1700",
+            '{"emitter_id":1,"range":3.2}{"emitter_id":1,"range":3.3}',
+            'no line end in 56 bytes; first: {"emitter_id":1,',
+        ),
+        ("android_rtt@file:r.csv", "bssid,distance_mm\n,5430\n", "row without its emitter's name"),
+        (
+            "ftm_csv@/dev/x",
+            ",33,35,507,2,33000,-51,1,2,3,4,34000,-52,5,6,7,8,\n",
+            "row without its emitter's name",
+        ),
+        (
+            "ftm_csv:columns=[emitter,range_cm]@/dev/x",
+            ",507\n",
+            "row without its emitter's name",
+        ),
     ],
 )
 def test_a_variant_that_cannot_be_read_says_why(radio: str, printed: str, reason: str) -> None:
