@@ -24,6 +24,7 @@ import msgspec
 from companion.domain import (
     DEFAULT_GNSS_SIGMA_M,
     GNSS_VERTICAL_RATIO,
+    MAX_COORDINATE_M,
     EstimateState,
     NonNegative,
     PositionAccuracy,
@@ -141,6 +142,7 @@ def replay_walk(
     targets: dict[str, _Replayed] = {}
     rows = read_walk(path, own_sigma_m)
     params = with_unknown_height(params, rows)
+    east_m, north_m = origin_of(rows)
     for number, row in enumerate(rows):
         target = targets.get(row.target_id)
         if target is None:
@@ -153,18 +155,49 @@ def replay_walk(
         if row.yaw_sigma_rad > 0.0:
             sigma_rad = math.hypot(math.radians(params.filter.bearing_sigma_deg), row.yaw_sigma_rad)
             measurement = replace(measurement, bearing_sigma_rad=sigma_rad)
-        target.tracker.fuse(measurement, row.agent_enu_m, target.last_s, row.own)
+        agent_enu_m = (
+            row.agent_enu_m[0] - east_m,
+            row.agent_enu_m[1] - north_m,
+            row.agent_enu_m[2],
+        )
+        target.tracker.fuse(measurement, agent_enu_m, target.last_s, row.own)
         if progress is not None and number % PROGRESS_ROWS == 0:
             progress(number)
     if not targets:
         raise ConfigError(f"{path}: has no rows below its header")
     return [
-        replace(
-            result_of(target.tracker, target_id, target.rows, target.last_s),
-            truth_enu_m=target.truth_enu_m,
+        _moved(
+            replace(
+                result_of(target.tracker, target_id, target.rows, target.last_s),
+                truth_enu_m=target.truth_enu_m,
+            ),
+            (east_m, north_m),
         )
         for target_id, target in targets.items()
     ]
+
+
+def origin_of(rows: Sequence[WalkRow]) -> tuple[float, float]:
+    """Return the point that the estimator counts metres from: 0, 0 unless a grid's is too far.
+
+    Eastings and northings of a national grid are farther than a flight's frame is large.
+    """
+    far = (abs(metres) > MAX_COORDINATE_M for row in rows for metres in row.agent_enu_m[:2])
+    return rows[0].agent_enu_m[:2] if any(far) else (0.0, 0.0)
+
+
+def _moved(result: TargetResult, shift_m: tuple[float, float]) -> TargetResult:
+    """Return a result whose positions are shifted."""
+    estimate = result.estimate
+    if estimate is None or shift_m == (0.0, 0.0):
+        return result
+    (east, north), other = estimate.position_enu_m, estimate.alternative_enu_m
+    moved = replace(
+        estimate,
+        position_enu_m=(east + shift_m[0], north + shift_m[1]),
+        alternative_enu_m=other and (other[0] + shift_m[0], other[1] + shift_m[1]),
+    )
+    return replace(result, estimate=moved)
 
 
 def with_unknown_height(params: TrackerParams, rows: Sequence[WalkRow]) -> TrackerParams:

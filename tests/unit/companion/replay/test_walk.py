@@ -172,6 +172,22 @@ def test_rows_in_any_order_are_read_by_time(tmp_path: Path) -> None:
     assert read_walk(backwards) == read_walk(ordered)
 
 
+def test_coordinates_of_a_national_grid_are_localised_as_those_of_a_local_frame(
+    tmp_path: Path,
+) -> None:
+    rows = circle()
+    for row in rows:
+        for name, false_m in (("agent_x_m", 691_000.0), ("agent_y_m", 5_334_000.0)):
+            row[name] = false_m + float(str(row[name]))
+    (near,) = replay_walk(write_walk(tmp_path / "near.csv", circle()), TrackerParams())
+    (far,) = replay_walk(write_walk(tmp_path / "far.csv", rows), TrackerParams())
+    assert near.estimate is not None
+    assert far.estimate is not None
+    assert far.state == near.state == "localised"
+    assert far.estimate.r95_m == pytest.approx(near.estimate.r95_m, rel=0.2)
+    assert far.estimate.position_enu_m == pytest.approx((691_004.0, 5_334_003.0), abs=0.2)
+
+
 def test_nan_beside_a_bearing_is_a_range_that_was_not_measured(tmp_path: Path) -> None:
     rows = [row | {"range_m": "nan", "target_x_m": "nan", "target_y_m": "nan"} for row in circle()]
     for row in read_walk(write_walk(tmp_path / "walk.csv", rows)):
