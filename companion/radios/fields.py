@@ -134,6 +134,7 @@ _COMMA_BEHIND = re.compile(
 _WORD_BEFORE, _WORD_BEHIND = re.compile(r"\w$"), re.compile(r"\w")
 """Neighbours that hexadecimal digits must not have."""
 
+ZERO_POWER = "power of exactly 0 dBm: nothing received"
 NOT_VALID = "the line says itself that it is not valid"
 _FAILURE = (
     r"(?:time[_ -]?(?:d[_ ])?out|invalid|not[_ ]valid|fail(?:ed|ure)?|error|lost|stale"
@@ -373,11 +374,10 @@ class FieldDecoder(LineDecoder):
                 return self.refused(f"{name} is {value:.0f}: all bits set, no range")
             values[unit.attribute] = value * unit.factor
         problem = _complain_of_values(values)
+        if problem is None and _drop_zeros(values, is_dbm="power_dbm" in texts):
+            problem = ZERO_POWER
         if problem is not None:
             return self.refused(problem)
-        for name in _SIGMAS & set(values):
-            if values[name] == 0.0:
-                del values[name]
         return self.understood(
             RadioReading(
                 emitter=emitter_name(texts.get("emitter") or ""),
@@ -386,6 +386,14 @@ class FieldDecoder(LineDecoder):
                 **values,
             )
         )
+
+
+def _drop_zeros(values: dict[str, float], *, is_dbm: bool) -> bool:
+    """Delete zeros that firmware prints for no value; return True if nothing measured is left."""
+    for name in _SIGMAS | ({"power_dbm"} if is_dbm else set()):
+        if values.get(name) == 0.0:
+            del values[name]
+    return not _MEASURED & set(values)
 
 
 def _complain_of_values(values: Mapping[str, float]) -> str | None:

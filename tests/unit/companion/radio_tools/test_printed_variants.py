@@ -276,6 +276,7 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
             '{"emitter_id":1,"range":3.2}{"emitter_id":1,"range":3.3}',
             'no line end in 56 bytes; first: {"emitter_id":1,',
         ),
+        (r"lines:pattern='p=(?P<power_dbm>\S+)'@/dev/x", "p=0\n", "power of exactly 0 dBm"),
         ("android_rtt@file:r.csv", "bssid,distance_mm\n,5430\n", "row without its emitter's name"),
         (
             "ftm_csv@/dev/x",
