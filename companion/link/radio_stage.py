@@ -28,6 +28,8 @@ MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 """A whole turn; more is most likely another unit."""
 MOST_FIRST, MOST_HEX = 80, 24
 """Bytes that are shown of a stream in which nothing is understood, as text or in hexadecimal."""
+_UTF_16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[ -~]\x00){8}|(?:\x00[ -~]){8}")
+"""Beginning of text as Windows' editors and shells save it: a byte order mark, or 8 characters."""
 REACH_M = 101_000.0
 """Longest range of any radio: LTE's largest timing advance, 1282 steps (TS 36.213 4.2.3). A longer
 one is an overflow or in another unit."""
@@ -171,6 +173,9 @@ class RadioStage:
     def unrecognised(self) -> str:
         """Description of input that is not of the format; empty: all is."""
         counts = self.decoder.counts
+        is_lines = isinstance(self.decoder, LineDecoder)
+        if is_lines and not counts.readings and _UTF_16.match(self._first):
+            return "text in UTF-16: save or send it as UTF-8"
         if counts.unrecognised:
             lines = "line" if counts.unrecognised == 1 else "lines"
             first = counts.first_unrecognised
@@ -180,7 +185,7 @@ class RadioStage:
         if counts.frames:
             lines = "line or frame" if counts.frames == 1 else "lines or frames"
             return f"{counts.frames} {lines} understood, no measurement"
-        is_text = isinstance(self.decoder, LineDecoder) and self._first.isascii()
+        is_text = is_lines and self._first.isascii()
         missing = (
             "line end" if is_text and not re.search(b"[\r\n]", self._first) else "line or frame"
         )

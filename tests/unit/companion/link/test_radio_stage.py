@@ -11,7 +11,7 @@ import pytest
 from companion.domain import Params, RangingMeasurement
 from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.radio_stage import RadioStage
-from companion.radios.decoder import AngleFrame, RadioDecoder, RadioKind, RadioReading
+from companion.radios.decoder import AngleFrame, RadioDecoder, RadioKind, RadioReading, radio_kind
 from companion.radios.fields import emitter_name
 
 READING = RadioReading(emitter=7, range_m=42.0)
@@ -324,6 +324,14 @@ def test_an_old_reading_is_refused() -> None:
     stage = stage_of(max_age_s=0.5)
     assert measured(stage, replace(READING, age_s=0.6)) == []
     assert len(measured(stage, replace(READING, age_s=0.4))) == 1
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_text_in_utf_16_is_called_that(encoding: str) -> None:
+    stage = RadioStage(RadioSetup(radio_kind("esp32_ftm"), RadioSettings()))
+    stage.receive("I (5) ftm: Estimated RTT - 33 nSec\n".encode(encoding), 0.0)
+
+    assert stage.unrecognised == "text in UTF-16: save or send it as UTF-8"
 
 
 def test_a_lost_line_resets_the_decoder() -> None:
