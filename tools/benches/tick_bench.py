@@ -7,9 +7,8 @@ so that other programs on the machine do not count. A setpoint can leave between
 longest call is the longest that a due setpoint waits.
 
 Each case runs in a process of its own, with kernels that `companion warm-up` compiled, as a flight
-does: `tools/benches/tick_bench.py EMITTERS PHASE STATE SECONDS` prints its figures as JSON. It
-imports only modules of companion and simulator, so that the same file measures an earlier release
-in its own checkout (`--beside`).
+does: `tools/benches/tick_bench.py EMITTERS PHASE STATE SECONDS` prints its figures as JSON. The
+same file measures an earlier release in its own checkout (`--beside`).
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +28,22 @@ import msgspec
 
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import build_endpoint, build_planner
-from companion.guidance.commands import SessionParams, Severity
-from companion.guidance.emitters import QueueParams
+from companion.guidance.commands import Severity
 from companion.kernel import IS_COMPILED
-from companion.mav.codec import MavCodec, message_id
+from companion.mav.codec import MavCodec
 from companion.mav.dialect import MAVLink_radio_ranging_message
 from companion.mav.endpoint import Chunk
 from companion.warm_up import warm_up
 from sim_link.autopilot.scenario import PayloadParams, Scenario
-from sim_link.lab.lockstep import Flight, Makers, MemoryJournal
-from sim_link.lab.observer import Lane
 from sim_link.world.environment import EmitterParams
+
+try:
+    from sim_link.lab.lockstep import Flight, Makers, MemoryJournal
+    from sim_link.lab.observer import Lane
+except ImportError:  # where 1.0.0rc1 has them
+    for part in ("flight", "observer"):
+        found = vars(import_module(f"sim_link.lab.lockstep.{part}"))
+        globals().update({name: found[name] for name in found if name[0] != "_"})
 
 ROOT = Path(__file__).resolve().parents[2]
 AS_IN_FLIGHT = """
@@ -106,14 +111,11 @@ class Spread:
     def carry(self, data: bytes, lane: Lane, now_s: float) -> list[tuple[float, bytes]]:
         """Deliver now, or a measurement at its emitter's part of the period."""
         del lane
-        if message_id(data) != MAVLink_radio_ranging_message.id:
-            return [(now_s, data)]
-        for frame in self._reader.splitter.split(data, is_datagram=True):
-            message = self._reader.decode_proved(frame)
-            assert isinstance(message, MAVLink_radio_ranging_message)
-            part = message.emitter_id % self._emitters / self._emitters
-            return [(now_s + part / RATE_HZ, data)]
-        return []
+        for message in self._reader.decode(data):
+            if isinstance(message, MAVLink_radio_ranging_message):
+                part = message.emitter_id % self._emitters / self._emitters
+                return [(now_s + part / RATE_HZ, data)]
+        return [(now_s, data)]
 
 
 class Timed:
@@ -154,13 +156,13 @@ def measure(emitters: int, phase: str, state: str, seconds: float) -> TickCost:
     ids = tuple(each.emitter_id for each in several)
     payload = PayloadParams(rate_hz=RATE_HZ, min_altitude_m=3.0 if is_flying else 0.0)
     scenario = Scenario(payload=payload, emitters=several)
-    most = {"most": emitters} if "most" in QueueParams.__struct_fields__ else {}  # in 1.0.0rc1
-    queue = QueueParams(order="listed", listed=ids, **most) if ids else QueueParams()
+    config = CompanionConfig()
+    mission, queue = type(config.mission), type(config.emitters)
+    most = {"most": emitters} if "most" in queue.__struct_fields__ else {}  # in 1.0.0rc1
+    launch: Any = {"engage": "auto"} if is_flying else {}
     config = CompanionConfig(
-        mission=SessionParams(
-            engage="auto" if is_flying else "operator", stop_confirm_s=1000.0, settle_s=None
-        ),
-        emitters=queue,
+        mission=mission(stop_confirm_s=1000.0, settle_s=None, **launch),
+        emitters=queue(order="listed", listed=ids, **most) if ids else queue(),
     )
     if IS_COMPILED:
         # 1.0.0rc1 has the tracker's parameters there
