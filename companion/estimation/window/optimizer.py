@@ -61,7 +61,6 @@ from companion.estimation.window.shared_errors import (
     shared_errors,
 )
 from companion.estimation.window.window_map import (
-    MAX_POSITION_SIGMA_M,
     Minima,
     WindowMap,
     WindowParams,
@@ -288,7 +287,7 @@ class WindowOptimizer:
             minima = yield from self.map.minima.steps(self.rows, starts, self._older)
         optima = yield from self._optima.steps(minima, starts[:kept], is_white=is_white)
         if not optima:
-            vague_m2 = MAX_POSITION_SIGMA_M**2 * np.eye(2)  # what an optimum would have to beat
+            vague_m2 = self.map.vaguest_sigma_m**2 * np.eye(2)  # what an optimum has to beat
             return tuple(replace(h, least_covariance_m2=vague_m2) for h in hypotheses)
         self.noise = optima[0].noise
         following = []

@@ -87,9 +87,10 @@ from companion.estimation.window.shared_errors import ReceptionPath
 from companion.kernel import Matrix, Vector
 
 MAX_POSITION_SIGMA_M = 200.0
-"""Standard deviation of a position above which an optimum is rejected, and that of a target within
-the reach of an unknown radio, m: of radios that reach some hundred metres. With 100 or 400 m R95
-of recorded walks stays, and that of a flight by ranges of a phone is 3 to 4 % smaller."""
+"""Standard deviation of a position above which an optimum is rejected, unless the radio reaches
+farther, and that of a target within the reach of an unknown radio, m: of radios that reach some
+hundred metres. With 100 or 400 m R95 of recorded walks stays, and that of a flight by ranges of a
+phone is 3 to 4 % smaller."""
 STEP_ITERATIONS = 4
 """Iterations between two interruptions of a solution, which do not change its result: fewer return
 sooner and cost more."""
@@ -123,6 +124,8 @@ class WindowMap:
         """Rows that are accepted or rejected together as one direction."""
         self.bounds = filter_params.bounds
         """Lower and upper bounds of the state, (2, k)."""
+        self.vaguest_sigma_m = max(MAX_POSITION_SIGMA_M, filter_params.reach_m or 0.0)
+        """Standard deviation above which a position is no optimum."""
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
         mean, sigmas = filter_params.prior
         weights = (1.0 / sigmas) ** 2
@@ -379,7 +382,7 @@ class WindowMap:
         covariance = yield from stretch_covariance(
             covariance, A, mean, cost_at, profiled, worth=passes(2, len(rows))
         )
-        if math.sqrt(float(np.trace(covariance[:2, :2]))) > MAX_POSITION_SIGMA_M:
+        if math.sqrt(float(np.trace(covariance[:2, :2]))) > self.vaguest_sigma_m:
             return None
         noise = [max(1.0, scores.inflation(m, len(mean))) for m in range(len(scores.u))]
         return Optimum(mean, cost, covariance, inflation, scores, tuple(noise))

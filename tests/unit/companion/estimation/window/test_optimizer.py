@@ -142,16 +142,19 @@ def test_a_place_that_explains_nothing_is_dropped() -> None:
     assert kept.position_enu_m == pytest.approx(TARGET, abs=2.0)
 
 
-def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague() -> None:
+@pytest.mark.parametrize(("reach_m", "vague_m"), [(None, MAX_POSITION_SIGMA_M), (1e3, 1e3)])
+def test_where_no_place_is_found_the_hypotheses_stay_and_are_vague(
+    reach_m: float | None, vague_m: float
+) -> None:
     rows = walk(np.random.default_rng(1), bearings=False)
     rows[:, :2], rows[:, 3] = 0.0, 47.0
-    vague = params(range_offset_sigma_m=1e3)
+    vague = params(range_offset_sigma_m=1e4, reach_m=reach_m)
     hypotheses = (_hypothesis(40.0, 25.0), _hypothesis(-40.0, 25.0))
     kept = _optimized(_fed(rows, hypotheses, vague), hypotheses)
     for one, before in zip(kept, hypotheses, strict=True):
         assert one.state is before.state
         assert one.least_covariance_m2 is not None
-        assert np.sqrt(one.least_covariance_m2[0, 0]) == MAX_POSITION_SIGMA_M
+        assert np.sqrt(one.least_covariance_m2[0, 0]) == vague_m
 
 
 # -- Mirror images and fresh starts --------------------------------------------------------------
