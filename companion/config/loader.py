@@ -5,22 +5,23 @@ repeated keys (YAML keeps the last one silently), numbers that are not finite, t
 shown, and two traps of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
 
 msgspec stops at the first problem. Here the faulty value is removed and the rest is checked again,
-so that one run names every problem of a file, a line for each.
+so that one run names every problem of a file, a line for each: of a wrong key with the one that was
+meant, of a wrong word with the words there are.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import yaml
 
-from companion.config import advice
 from companion.errors import ConfigError
 
 T = TypeVar("T")
@@ -35,6 +36,9 @@ MAX_BYTES = 100_000
 file, or an attack: a megabyte takes six seconds to read."""
 MAX_MERGED = 10_000
 """Keys that merges (`<<`) of a file may copy."""
+SHOWN = 20
+"""Characters of a value that an error repeats."""
+UNKNOWN = "unknown key; check its spelling and indentation"
 UNSHOWN = "has characters that cannot be shown"
 _UNSHOWN = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
@@ -42,6 +46,7 @@ _UNSHOWN = re.compile(
 """Control characters, those that turn the direction of a line, and halves of a character."""
 
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
+_TYPE_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?:\d+|\.\.\.)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
@@ -102,9 +107,7 @@ class _Loader(yaml.SafeLoader):
             problem = "would be read in base sixty; give one number, or a text in quotes"
         except ValueError:
             pass
-        shown = (
-            node.value if len(node.value) <= advice.SHOWN else f"{node.value[: advice.SHOWN]}..."
-        )
+        shown = node.value if len(node.value) <= SHOWN else f"{node.value[:SHOWN]}..."
         raise yaml.constructor.ConstructorError(
             None, None, f"the number `{shown}` {problem}", node.start_mark
         )
@@ -253,14 +256,14 @@ def _located(text: str, raw: object, kind: type) -> _Problem:
         text, path = match["problem"], match["path"]
     unknown, missing = _UNKNOWN_KEY.match(text), _MISSING_KEY.match(text)
     if unknown:
-        problem = advice.on_unknown_key(kind, path, unknown["key"])
+        problem = _on_unknown_key(kind, path, unknown["key"])
         return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
     if missing:
         return _Problem(f"{path}.{missing['key']}", "required key is missing")
     named = _NAMED_KEY.match(text)  # a record's own error about one of its keys
     if named:
         return _Problem(f"{path}.{named['key']}", _one_line(named["problem"]))
-    problem = advice.on_wrong_value(kind, path, text, advice.value_at(raw, path))
+    problem = _on_wrong_value(kind, path, text, _value_at(raw, path))
     return _Problem(path, _one_line(problem))
 
 
@@ -337,3 +340,89 @@ def preset_names() -> list[str]:
         for file in (folder / kind).rglob("*.yaml")
     }
     return sorted(names)
+
+
+def _on_unknown_key(kind: type, path: str, key: str) -> str:
+    """Return the error of a key that the record at a path lacks, with the one that was meant."""
+    names = _names(_types_at(kind, path))
+    plain = "".join(key.split())
+    if plain in names:
+        return "unknown key: it contains a space that is none; type it again"
+    if near := get_close_matches(plain.lower(), names, n=1):
+        return f"unknown key; did you mean {near[0]}?"
+    if "[" in path:
+        return UNKNOWN
+    owners = [
+        owner for owner, types in _records(msgspec.inspect.type_info(kind)) if key in _names(types)
+    ]
+    return f"unknown key; it belongs into {owners[0]}" if len(owners) == 1 else UNKNOWN
+
+
+def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:
+    """Return an error with the words that a choice has, or with the value of another type."""
+    if problem.startswith("Invalid enum value"):
+        words = [str(word) for each in _types_at(kind, path) for word in _words_of(each)]
+        return f"{problem}; there are {', '.join(words)}" if words else problem
+    if isinstance(value, str) and problem.endswith("got `str`"):
+        return f"{problem}: {value if len(value) <= SHOWN else f'{value[:SHOWN]}...'}"
+    return problem
+
+
+def _value_at(raw: object, path: str) -> object:
+    """Return the plain value at a path; None if there is none."""
+    for part in re.finditer(r"\.([^.\[]+)|\[(\d+)\]", path):
+        try:
+            raw = raw[part[1] if part[2] is None else int(part[2])]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return raw
+
+
+def _types_at(kind: type, path: str) -> list[Any]:
+    """Return the types that a value at a path may have."""
+    types = _plain(msgspec.inspect.type_info(kind))
+    for part in _TYPE_PART.finditer(path):
+        types = [inner for each in types for inner in _inner(each, part["key"])]
+    return types
+
+
+def _inner(kind: Any, key: str | None) -> list[Any]:
+    """Return the types of a record's key, or of the items of a list."""
+    if key is None:
+        items = getattr(kind, "item_types", None) or [getattr(kind, "item_type", None)]
+        return [inner for item in items if item is not None for inner in _plain(item)]
+    if isinstance(kind, msgspec.inspect.DictType):
+        return _plain(kind.value_type)
+    found = [each for each in getattr(kind, "fields", ()) if each.encode_name == key]
+    return [inner for each in found for inner in _plain(each.type)]
+
+
+def _plain(kind: Any) -> list[Any]:
+    """Return the members of a union, or the type itself, without annotations."""
+    while isinstance(kind, msgspec.inspect.Metadata):
+        kind = kind.type
+    if isinstance(kind, msgspec.inspect.UnionType):
+        return [inner for each in kind.types for inner in _plain(each)]
+    return [kind]
+
+
+def _names(types: list[Any]) -> list[str]:
+    return [each.encode_name for kind in types for each in getattr(kind, "fields", ())]
+
+
+def _words_of(kind: Any) -> tuple[object, ...]:
+    if isinstance(kind, msgspec.inspect.LiteralType):
+        return kind.values
+    if isinstance(kind, msgspec.inspect.EnumType):
+        return tuple(member.value for member in kind.cls)
+    return ()
+
+
+def _records(kind: Any, path: str = "") -> Iterator[tuple[str, list[Any]]]:
+    """Yield every record below a type that is no item of a list, with its path."""
+    for record in _plain(kind):
+        for each in getattr(record, "fields", ()):
+            inner, key_path = _plain(each.type), f"{path}.{each.encode_name}".removeprefix(".")
+            if _names(inner):
+                yield key_path, inner
+                yield from _records(each.type, key_path)
