@@ -8,7 +8,8 @@ velocity v is tested with the sandwich covariance C of the second fit, in which 
 longer noise: v^T C^-1 v is chi-square with 2 degrees of freedom for a stationary target. The larger
 of the white and the correlated covariance is used, because reflections that change with the
 vehicle's position are correlated; and the decrease of the cost must be as significant, because a
-fit that ended in another minimum does not lower it.
+fit that ended in another minimum does not lower it. The vehicle position drifts, as far as its
+reported accuracy says, and the target seems to move with it: the variance of that is added to C.
 
 The estimate stays unchanged, and the operator is informed: a reflection that changes with the
 vehicle's position, behind a building for example, looks the same from one side, and no threshold
@@ -27,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from companion.domain import PositionAccuracy
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.hypotheses import shift_rows
 from companion.estimation.stepwise import Steps, Stepwise, passes
@@ -39,6 +41,7 @@ from companion.estimation.window.sandwich import (
     curvature,
     pooled_variability,
 )
+from companion.estimation.window.shared_errors import TIME_CONSTANT_S
 from companion.estimation.window.window_map import WindowMap
 from companion.geometry.polygons import Point
 from companion.kernel import Matrix, Vector
@@ -140,10 +143,13 @@ class MotionWatch:
         return bool(self._rows) and self._left <= 0
 
     @Stepwise
-    def look(self, window_map: WindowMap, mean: Vector, r95_m: float, now_s: float) -> Steps[None]:
+    def look(
+        self, window_map: WindowMap, mean: Vector, r95_m: float, own: PositionAccuracy, now_s: float
+    ) -> Steps[None]:
         """Test for motion, unless the target's position is unknown.
 
-        A target whose position was known, and is lost, may have moved.
+        A target whose position was known, and is lost, may have moved. `own` is the accuracy of
+        the vehicle position, whose drift looks like a motion of the target.
         """
         every_count = IDLE_EVERY_COUNT // 2
         self.due_s, self._left = now_s + EVERY_S, every_count
@@ -151,7 +157,8 @@ class MotionWatch:
         self._was_near = self._was_near or is_near
         if self.suspected is None and not self._was_near:
             return
-        found = yield from self._likeliest_motion.steps(window_map, mean)
+        own_m = own.horizontal_m if own.is_reported else 0.0
+        found = yield from self._likeliest_motion.steps(window_map, mean, own_m)
         # a position that was known may be lost because of reflections as well
         is_sure = is_near or self.suspected is not None
         least = (1.0 if is_sure else 3.0) * SIGNIFICANT_CHI2
@@ -183,11 +190,13 @@ class MotionWatch:
         ]
 
     @Stepwise
-    def _likeliest_motion(self, window_map: WindowMap, mean: Vector) -> Steps[TargetMotion | None]:
+    def _likeliest_motion(
+        self, window_map: WindowMap, mean: Vector, own_m: float
+    ) -> Steps[TargetMotion | None]:
         """Return the motion of the shortest span where it is significant, else the likeliest."""
         best: TargetMotion | None = None
         for rows in self._spans():
-            motion = yield from motion_of(window_map, rows, mean)
+            motion = yield from motion_of(window_map, rows, mean, own_m)
             if motion is None:
                 continue
             if best is None or motion.significance > best.significance:
@@ -197,8 +206,14 @@ class MotionWatch:
         return best
 
 
-def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[TargetMotion | None]:
-    """Return the motion of a target near `mean` (k,), or None. Rows end with their time."""
+def motion_of(
+    window_map: WindowMap, rows: Matrix, mean: Vector, own_m: float = 0.0
+) -> Steps[TargetMotion | None]:
+    """Return the motion of a target near `mean` (k,), or None. Rows end with their time.
+
+    `own_m` is the standard deviation of the vehicle position per axis, a first-order Gauss-Markov
+    process as in `shared_errors`.
+    """
     still, fit = (yield from window_map.solve.steps(rows, mean)), _MotionFit(window_map, rows)
     if still is None:
         return None
@@ -213,13 +228,23 @@ def motion_of(window_map: WindowMap, rows: Matrix, mean: Vector) -> Steps[Target
         with np.errstate(all="ignore"):
             covariance, inflation = fit.covariance(moving)
             velocity = moving[-2:]
-            significance = float(velocity @ np.linalg.solve(covariance[-2:, -2:], velocity))
+            drift = drift_variance_m2ps2(own_m, float(np.ptp(rows[:, SEQUENCE])))
+            spread = covariance[-2:, -2:] + drift * np.eye(2)
+            significance = float(velocity @ np.linalg.solve(spread, velocity))
             fall = 2.0 * (fit.cost(at_rest) - fit.cost(moving)) / inflation
     except np.linalg.LinAlgError:
         return None
     if not math.isfinite(fall + significance):
         return None
     return TargetMotion(velocity_mps=velocity, significance=min(fall, significance))
+
+
+def drift_variance_m2ps2(own_m: float, span_s: float) -> float:
+    """Return the variance per axis, m^2/s^2, of the mean drift of the vehicle position in a span.
+
+    The difference of a Gauss-Markov process over T has 2 sigma^2 (1 - exp(-T / tau)).
+    """
+    return -2.0 * own_m**2 * math.expm1(-span_s / TIME_CONSTANT_S) / span_s**2
 
 
 class _Linearised(NamedTuple):

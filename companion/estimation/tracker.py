@@ -184,7 +184,8 @@ class TargetTracker:
         estimate = self.estimate(at_s) if self.watch.is_due(at_s) else None
         if estimate is not None:
             mean = self.hypotheses[0].state.mean
-            look = self.watch.look.steps(self._optimizer.map, mean, estimate.r95_m, at_s)
+            own, r95_m = self.own or DEFAULT_ACCURACY, estimate.r95_m
+            look = self.watch.look.steps(self._optimizer.map, mean, r95_m, own, at_s)
             yield from while_same(look, lambda: self._moves)
 
     def _prepared(

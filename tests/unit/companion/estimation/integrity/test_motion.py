@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from companion.domain import DEFAULT_ACCURACY
 from companion.estimation.stepwise import Steps, Stepwise, finish
 from companion.estimation.target_motion import (
     CLEARED_COUNT,
@@ -71,7 +72,9 @@ def watched(
     for row in rows:
         watch.fresh.append(row)
         if watch.is_due(float(row[9])):
-            watch.look(MAP, truth() if mean is None else mean, r95_m, float(row[9]))
+            watch.look(
+                MAP, truth() if mean is None else mean, r95_m, DEFAULT_ACCURACY, float(row[9])
+            )
             seen.append(watch.motion)
     return seen
 
@@ -105,6 +108,24 @@ def test_who_walks_among_reflections_is_seen(
     velocity = velocity_of(speed_mps, direction_rad)
     rows = rows_of(np.random.default_rng(seed), SPANS_S[-1], velocity_mps=velocity)
     motion = finish(motion_of(MAP, rows, truth()))
+    assert motion is not None
+    assert motion.significance > SIGNIFICANT_CHI2
+
+
+def test_a_drift_of_the_vehicle_position_that_is_stated_is_no_walk() -> None:
+    """The frame drifts by 2 m in 40 s, which is 3.2 sigma where 0.9 m are stated."""
+    rows = rows_of(np.random.default_rng(1), 40.0, velocity_mps=(0.04, -0.03), noise=0.1, nlos=0.0)
+    found = [finish(motion_of(MAP, rows, truth(), own_m)) for own_m in (0.0, 0.9)]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].significance > SIGNIFICANT_CHI2 > 5.0 * found[1].significance
+
+
+@pytest.mark.parametrize("direction_rad", DIRECTIONS_RAD)
+def test_who_walks_is_seen_by_a_vehicle_with_single_frequency_gnss(direction_rad: float) -> None:
+    velocity = velocity_of(0.3, direction_rad)
+    rows = rows_of(np.random.default_rng(1), SPANS_S[-1], velocity_mps=velocity, nlos=0.0)
+    motion = finish(motion_of(MAP, rows, truth(), 1.0))
     assert motion is not None
     assert motion.significance > SIGNIFICANT_CHI2
 
@@ -189,7 +210,7 @@ def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -
     watch, row = MotionWatch(PARAMS, 2.0), np.array([*(0.0,) * 3, *(1.0,) * 6, 0.0])
     watch.fresh.append(row)
     assert watch.is_due(100.0)
-    watch.look(MAP, truth(), 2.0, 100.0)
+    watch.look(MAP, truth(), 2.0, DEFAULT_ACCURACY, 100.0)
     assert not watch.is_due(100.0 + EVERY_S)
     for _ in range(IDLE_EVERY_COUNT):
         assert not watch.is_due(100.0 + EVERY_S)
@@ -207,7 +228,9 @@ def test_only_a_place_that_is_told_with_some_certainty_is_asked_for() -> None:
     watched(vague, rows, r95_m=6.1)
     assert vague.suspected is None
     seen_s, before = float(rows[-1, 9]), sure.suspected
-    sure.look(MAP, truth(), 1e3, seen_s)  # a suspicion is watched, however vague the position
+    sure.look(
+        MAP, truth(), 1e3, DEFAULT_ACCURACY, seen_s
+    )  # a suspicion is watched, however vague the position
     assert sure.suspected is not before
 
 
