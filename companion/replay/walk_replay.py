@@ -415,14 +415,18 @@ def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[st
         words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
         yield f"refused: {words}"
     estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
-    open_m = {
-        name: estimate.settled_r95_m
-        for name, estimate in estimates.items()
-        if estimate.state is EstimateState.SEARCHING and estimate.settled_r95_m > localised_r95_m
-    }
-    if open_m:
-        words = ", ".join(f"{name} to {radius_m:.2f} m" for name, radius_m in open_m.items())
-        yield f"searching: measurements place {words}; localised asks for {localised_r95_m:g} m"
+    limit_m = localised_r95_m
+    for state, radii_of, end in (
+        (EstimateState.SEARCHING, "settled_r95_m", f"localised asks for {limit_m:g} m"),
+        (EstimateState.LOCALISED, "r95_m", "R95 adds the drift of the vehicle position"),
+    ):
+        words = ", ".join(
+            f"{name} to {estimate.settled_r95_m:.2f} m"
+            for name, estimate in estimates.items()
+            if estimate.state is state and getattr(estimate, radii_of) > limit_m
+        )
+        if words:
+            yield f"{state.name.lower()}: measurements place {words}; {end}"
     if not all(estimate.own.is_reported for estimate in estimates.values()):
         sigma_m = f"{DEFAULT_GNSS_SIGMA_M:g} m"
         yield f"R95 assumes {sigma_m} for positions of unknown accuracy: see --own-sigma"

@@ -206,6 +206,21 @@ def test_reasons_of_refusals_stand_below_the_table(
     assert "refused: range not positive 2, range absurd 1\n" in capsys.readouterr().out
 
 
+def test_a_radius_above_the_limit_for_localised_is_explained(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The state is decided without the drift of the vehicle position, which R95 contains."""
+    walk = write_walk(tmp_path / "walk.csv", circle())
+    assert main(["replay", str(walk), "--own-sigma", "9"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"^tag .* localised ", printed, re.MULTILINE)
+    assert re.search(
+        r"^localised: measurements place tag to [0-9.]+ m; R95 adds the drift",
+        printed,
+        re.MULTILINE,
+    )
+
+
 def test_command_prints_a_table_and_writes_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
