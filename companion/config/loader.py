@@ -45,8 +45,7 @@ _UNSHOWN = re.compile(
 )
 """Control characters, those that turn the direction of a line, and halves of a character."""
 
-_PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+)\]")
-_TYPE_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?:\d+|\.\.\.)\]")
+_PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+|\.\.\.)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
@@ -370,10 +369,10 @@ def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:
 
 def _value_at(raw: object, path: str) -> object:
     """Return the plain value at a path; None if there is none."""
-    for part in re.finditer(r"\.([^.\[]+)|\[(\d+)\]", path):
+    for part in _PATH_PART.finditer(path):
         try:
-            raw = raw[part[1] if part[2] is None else int(part[2])]  # type: ignore[index]
-        except (KeyError, IndexError, TypeError):
+            raw = raw[part["key"] or int(part["index"])]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError, ValueError):
             return None
     return raw
 
@@ -381,7 +380,7 @@ def _value_at(raw: object, path: str) -> object:
 def _types_at(kind: type, path: str) -> list[Any]:
     """Return the types that a value at a path may have."""
     types = _plain(msgspec.inspect.type_info(kind))
-    for part in _TYPE_PART.finditer(path):
+    for part in _PATH_PART.finditer(path):
         types = [inner for each in types for inner in _inner(each, part["key"])]
     return types
 
