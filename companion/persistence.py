@@ -248,6 +248,9 @@ class ParameterKeeper:
     def run(self, now_s: float) -> None:
         """Save changes; never waits."""
         del now_s
+        self._save()
+
+    def _save(self) -> None:
         if self._tunables.changed == self._kept:
             return
         self._kept = dict(self._tunables.changed)
@@ -259,7 +262,8 @@ class ParameterKeeper:
         self._writer.replace(self._path, content)
 
     def close(self, timeout_s: float) -> None:
-        """Write everything queued within `timeout_s`."""
+        """Save what was changed since the last control tick, within `timeout_s`."""
+        self._save()
         if self._writer is not None:
             self._writer.close(timeout_s)
 

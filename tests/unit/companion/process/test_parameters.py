@@ -42,6 +42,19 @@ def test_a_change_is_there_at_the_next_start(tmp_path: Path) -> None:
     assert second.file == CompanionConfig()
 
 
+def test_a_change_after_the_last_control_tick_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "vehicle.parameters.json"
+    first = tunables()
+    keeper = ParameterKeeper(first, path)
+    first.change(INDEX["CMP_SPEED"], 3.0)
+    keeper.run(0.0)
+    first.change(INDEX["CMP_ALTITUDE"], 25.0)
+    keeper.close(5.0)
+    second = tunables()
+    ParameterKeeper(second, path)
+    assert second.changed == {"CMP_SPEED": 3.0, "CMP_ALTITUDE": 25.0}
+
+
 def test_what_is_as_in_the_file_again_is_not_kept(tmp_path: Path) -> None:
     path = tmp_path / "vehicle.parameters.json"
     keep(path, CMP_SPEED=3.0)
