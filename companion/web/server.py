@@ -285,6 +285,8 @@ def build_app(
     _add_searched(app, access, hub)
     if tiles is not None:
         _add_tiles(app, access, tiles)
+    # Quasar shows a bar without a name while a request is under way: the page has its own ages.
+    nicegui.app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.run_with(app, title="Companion", show_welcome_message=False, reconnect_timeout=10.0)
     return app
 
