@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, expect
+from playwright.sync_api import Browser, Response, expect
 
 from companion.config.schema import CompanionConfig, LimitsConfig, PatternConfig, PlannerConfig
 from companion.guidance.commands import SessionParams
+from companion.guidance.searching import STATE_EVERY_S
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams
 from sim_link.autopilot.scenario import PayloadParams, Scenario
@@ -32,6 +33,7 @@ SEARCH = CompanionConfig(
     planner=PlannerConfig(search="lawnmower", pattern=PatternConfig(spacing_m=20.0)),
     search=SearchAreaParams(detection=DetectionModel(reach_m=25.0, reach_sigma_db=3.0)),
 )
+MAP = "/searched.json"
 ZOOM_MS = 600.0
 """Leaflet has zoomed by then."""
 DEAF = Scenario(payload=PayloadParams(max_range_m=1.0))
@@ -72,17 +74,17 @@ def test_the_searched_area_is_shown_with_its_gaps_and_can_be_switched_off(
 
 def test_the_map_is_asked_for_only_when_it_has_changed(browser: Browser, tmp_path: Path) -> None:
     with live_flight(tmp_path, config=SEARCH, scenario=DEAF) as live:
-        watched = Watched(browser, live.settings.url, DESK)
-        asked_s: list[float] = []
-        watched.page.on(
-            "request",
-            lambda each: asked_s.append(live.flight.now_s) if "searched.json" in each.url else None,
-        )
-        expect(watched.page.locator("img.pod")).to_have_count(1)
-        begun_s, before = live.flight.now_s, len(asked_s)
-        until(lambda: live.flight.now_s > begun_s + 30.0, "the flight does not go on")
-        watched.page.wait_for_timeout(500.0)
-        assert 2 <= len(asked_s) - before <= 8  # every 5 s of the flight
+        page = Watched(browser, live.settings.url, DESK).page
+        answers: list[Response] = []
+        page.on("response", lambda each: answers.append(each) if MAP in each.url else None)
+        expect(page.locator("img.pod")).to_have_count(1)
+        begun_s, before = live.flight.now_s, len(answers)
+        while live.flight.now_s < begun_s + 30.0:
+            page.wait_for_timeout(100.0)  # only here does the page report its answers
+        versions = [answer.json()["version"] for answer in answers]
+        assert versions == sorted(set(versions))
+        renewals = (live.flight.now_s - begun_s) / STATE_EVERY_S
+        assert 2 <= len(versions) - before <= renewals + 1.0
 
 
 def test_without_a_reach_there_is_no_searched_area(browser: Browser, tmp_path: Path) -> None:
