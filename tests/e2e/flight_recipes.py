@@ -271,9 +271,9 @@ class VibrationReported(Event):
         ),
         Edit(
             "companion/link/conversion/health_reports.py",
-            "        others = [*_place_rated(message, now_s), *_vibration(message, now_s)]\n"
+            "        others = [*_position_accuracy(message, now_s), *_vibration(message, now_s)]\n"
             "        return [*([] if event is None else [event]), *others]\n",
-            r"^        return \[.*\*_place_rated\(message, now_s\)\]\n",
+            r"^        return \[.*\*_position_accuracy\(message, now_s\)\]\n",
             is_instead=True,
         ),
         Edit(

@@ -97,6 +97,17 @@ def test_a_recipe_names_the_files_that_are_touched_and_no_others(recipe: Recipe)
             ), named_path
 
 
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda each: str(each.heading))
+def test_the_lines_that_a_recipe_edits_are_there(recipe: Recipe, tmp_path: Path) -> None:
+    edits = [each for step in recipe.steps.values() for each in step if isinstance(each, Edit)]
+    for path in {edit.path for edit in edits}:
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        if (ROOT / path).exists():
+            shutil.copy2(ROOT / path, tmp_path / path)
+    for edit in edits:
+        edit.apply(tmp_path)
+
+
 def test_there_is_a_specimen_for_every_recipe() -> None:
     part = PAGE.partition("\n## Recipes\n")[2].partition("\n## ")[0]
     assert re.findall(r"^### (.*)$", part, re.MULTILINE) == [each.heading for each in RECIPES]
