@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -25,9 +26,10 @@ def bound_hosts(pid: int) -> Iterator[tuple[str, str, int]]:
     """Kind, address and port of every socket of a process that others can send to."""
     inodes = set()
     for entry in Path(f"/proc/{pid}/fd").iterdir():
-        target = str(entry.readlink())
-        if target.startswith("socket:["):
-            inodes.add(target[8:-1])
+        with suppress(FileNotFoundError):  # closed since the folder was listed
+            target = str(entry.readlink())
+            if target.startswith("socket:["):
+                inodes.add(target[8:-1])
     for kind in ("tcp", "udp", "tcp6", "udp6"):
         table = Path(f"/proc/{pid}/net/{kind}")
         for line in table.read_text().splitlines()[1:] if table.exists() else ():
