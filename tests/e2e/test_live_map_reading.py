@@ -110,3 +110,12 @@ def test_every_text_has_the_contrast_that_sunlight_wants(
         expect(watched.page.locator("path.ellipse")).to_have_count(1)
         assert broken_rules(watched.page) == []
         assert least_contrast_of_charts(watched.page) >= LEAST_CONTRAST
+
+
+def test_a_page_without_a_web_socket_is_as_readable(browser: Browser, tmp_path: Path) -> None:
+    with live_flight(tmp_path) as live:
+        page = browser.new_page()
+        page.add_init_script("delete window.WebSocket")  # as behind a proxy that refuses it
+        page.goto(live.settings.url)
+        expect(page.locator("path.ellipse")).to_have_count(1)
+        assert broken_rules(page) == []
