@@ -243,7 +243,7 @@ def _box_deg(grid: SearchGrid, origin: LocalOrigin) -> tuple[float, float, float
 
 
 def geotiff_of(state: SearchState, origin: LocalOrigin) -> bytes | None:
-    """Return POD as 32-bit floats in degrees of WGS84, NaN outside; None: tifffile is missing."""
+    """Return POD as 32-bit floats in degrees of WGS84, NaN outside; None if tifffile is missing."""
     try:
         import tifffile
     except ImportError:

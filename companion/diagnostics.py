@@ -103,7 +103,7 @@ class ProcessParts:
     timing: TimerStatistics
     links: Sequence[Link]
     store: CheckpointStore | None
-    """Store of the checkpoints; None: none are kept."""
+    """Store of the checkpoints; None if none are kept."""
 
     @property
     def checkpoint_writer(self) -> BackgroundReplacer | None:

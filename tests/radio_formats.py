@@ -35,7 +35,7 @@ class Format:
     azimuth_deg: float | None = None
     elevation_deg: float | None = None
     time_s: float | None = None
-    """None: it has no clock."""
+    """None if it has no clock."""
     sigma_m: float | None = None
     """Of the sigma, where the radio says one."""
     has_quality: bool = False

@@ -63,7 +63,7 @@ class Figure:
     limit: str = ""
     """Requirement in words; empty: reported only."""
     is_met: bool | None = None
-    """Verdict on the requirement; None: nothing is required of the figure."""
+    """Verdict on the requirement; None if nothing is required of the figure."""
     note: str = ""
 
 

@@ -110,7 +110,7 @@ def _key_problem(path: Path) -> str | None:
 
 
 def _is_clock_synchronised() -> bool | None:
-    """Return True if the file system shows a synchronised clock; None: it shows nothing."""
+    """Return True if the file system shows a synchronised clock; None if it shows nothing."""
     if _SYNCHRONISED.exists():
         return True
     return None if not any(path.exists() for path in _SYNCHRONISERS) else False

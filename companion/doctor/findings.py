@@ -83,7 +83,7 @@ class LinkFacts:
     waited_s: float
     """Time of listening for an autopilot."""
     autopilot: AutopilotFacts | None
-    """Facts of the autopilot; None: none was heard."""
+    """Facts of the autopilot; None if none was heard."""
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
     """System ids under which another component with the companion's id sent."""

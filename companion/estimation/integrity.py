@@ -228,7 +228,7 @@ class TrackIntegrity:
         self._contradiction = Contradiction()
         self._nis = NisWindow()
         self._inflation_at_loss: Inflation | None = None
-        """Measured inflation when agreement was lost; None: it is not lost."""
+        """Measured inflation when agreement was lost; None if it is not lost."""
 
     def gate_inflation(self, measured: Inflation) -> Inflation:
         """Return the inflation that the gate works with.
@@ -301,7 +301,7 @@ class TrackIntegrity:
         return accepted < self._recovered_at
 
     def objection(self, now_s: float) -> Objection | None:
-        """Return the gravest reason not to use the estimate for guidance; None: there is none."""
+        """Return the gravest reason not to use the estimate for guidance; None if there is none."""
         restarts_s = self._restarts_s
         is_full = len(restarts_s) == restarts_s.maxlen
         if is_full and now_s - restarts_s[0] <= RESTART_MEMORY_S:

@@ -111,7 +111,7 @@ class TargetTracker:
         self.params = params
         self.watch = MotionWatch(params.filter, params.localised_r95_m)
         self.antenna: AntennaCheck | None = None
-        """Identification of an antenna that is not configured; None: it is configured."""
+        """Identification of an antenna that is not configured; None if it is configured."""
         filter_params = params.effective_filter
         if params.filter.antenna.kind == "auto":
             self.antenna = AntennaCheck(filter_params)
@@ -396,7 +396,7 @@ class TargetTracker:
         return budget_of(estimate, self.hypotheses[0], widths, self._shared, own_sigma_m)
 
     def objection(self, now_s: float) -> Objection | None:
-        """Return why the estimate must not be used for guidance; None: it may be used."""
+        """Return why the estimate must not be used for guidance; None if it may be used."""
         integrity = self.integrity
         if self._screen.objection is not None:
             return self._screen.objection
@@ -434,7 +434,7 @@ class TargetTracker:
         return self._optimizer.latest_sigmas(self.hypotheses[0].state.mean, self._filter_inflation)
 
     def joint_covariance(self, sensor_enu_m: PositionEnu) -> Matrix | None:
-        """Return `WindowOptimizer.joint_covariance` of the best hypothesis; None: there is none."""
+        """Return `WindowOptimizer.joint_covariance` of the best hypothesis; None without one."""
         if not self.hypotheses:
             return None
         sensor_enu_m = (*sensor_enu_m[:2], sensor_enu_m[2] - self.raised_m)

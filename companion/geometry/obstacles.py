@@ -93,7 +93,7 @@ class FreeSpace:
     def _edges_near(self, start: Point, end: Point, reach_m: float) -> list[Segment] | None:
         """Return the edges whose bounding box is within reach of a leg's: in practice few.
 
-        None: the leg does not start inside of every fence and outside of every keep-out.
+        None if the leg does not start inside of every fence and outside of every keep-out.
         """
         for fence in self._fences:
             if not contains(fence, start):

@@ -205,7 +205,7 @@ class SessionContext:
 
     @property
     def result(self) -> ReportResult | None:
-        """Latest report; None: no emitter was reported."""
+        """Latest report; None if no emitter was reported."""
         return next(reversed(self.reports.values()), None)
 
     def take_commands(self) -> list[Command]:

@@ -68,7 +68,7 @@ class Authority:
         """True while another mode has to be shown for `REGAIN_QUIET_S` first."""
         self._has_heartbeat = False
         self._other_mode_since_s: float | None = None
-        """Time at which another mode was first shown without a failsafe; None: it is not shown."""
+        """Time at which another mode was first shown without a failsafe; None if not shown."""
         self._control_began_s = -math.inf
         self._is_reselected = False
         """True if control was handed over by a second mode switch, without a grant."""

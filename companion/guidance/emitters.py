@@ -63,7 +63,7 @@ class Progress(NamedTuple):
     heard: tuple[int, ...]
     """Heard and not reported."""
     sought: tuple[int, ...] | None
-    """Ids that are sought and were not heard; empty: any further emitter; None: none is sought."""
+    """Ids that are sought and not heard yet; empty: any further emitter; None if none is sought."""
 
 
 class EmitterQueue:

@@ -37,7 +37,7 @@ class SessionMemory:
     """Origin of the frame in which the rest is given."""
     belief: Belief | None
     report: ReportResult | None
-    """Latest report; None: no emitter was reported."""
+    """Latest report; None if no emitter was reported."""
     fence_anchor: LocalOrigin | None = None
     """Origin to which a fence in local metres refers; see `Fencing`."""
     others: tuple[Belief, ...] = ()
@@ -57,7 +57,7 @@ class SessionMemory:
 
     @property
     def problem(self) -> str | None:
-        """Reason why this state is invalid, in words; None: it is valid."""
+        """Reason why this state is invalid, in words; None if it is valid."""
         problems = (_problem(self.origin), _problem(self.fence_anchor))
         return next((problem for problem in problems if problem is not None), None)
 
@@ -80,7 +80,7 @@ class VehicleMark:
     system_id: int
     component_id: int
     uid: str | None
-    """Hardware id; None: it reports none, or has not answered yet."""
+    """Hardware id; None if it reports none, or has not answered yet."""
     boot_s: float
     """Reading of its boot clock, s."""
 
@@ -162,7 +162,7 @@ class SetpointEchoed(Event):
     """Target that the autopilot reports to follow."""
 
     position_enu_m: PositionEnu | None
-    """Position of the target; None: it is a velocity, for example."""
+    """Position of the target; None if it is a velocity, for example."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,7 @@ class EstimatorStatusReported(Event):
     worst: float
     """Largest test ratio; at 1 and more the autopilot's own check would call the estimate poor."""
     has_position: bool | None = None
-    """True if the status flags report a horizontal position; None: no flags are reported."""
+    """True if the status flags report a horizontal position; None if no flags are reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,4 +426,4 @@ class IdentityDoubted(Event):
     """Frames with the autopilot's ids may be another vehicle's, or that doubt is over."""
 
     problem: str | None
-    """Description of the problem; None: the identity is no longer doubted."""
+    """Description of the problem; None if the identity is no longer doubted."""

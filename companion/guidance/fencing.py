@@ -154,7 +154,7 @@ class Fencing:
 
     @property
     def autopilot_fence(self) -> GeoFence | None:
-        """The autopilot's fence as downloaded last; None: it has none, or it is unknown."""
+        """The autopilot's fence as downloaded last; None if it has none, or it is unknown."""
         return None if self._read is None else self._read.fence
 
     @property

@@ -230,7 +230,7 @@ class FenceMessages:
         self.logged: Fence | None = None
 
     def record(self, fence: Fence | None) -> dict[str, object] | None:
-        """Return the fence for the log, null for none; None: it is the logged one."""
+        """Return the fence for the log, null for none; None if it is the logged one."""
         before, self.logged = self.logged, fence
         if fence == before:
             return None

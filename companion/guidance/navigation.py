@@ -54,7 +54,7 @@ class FlightPlan:
     def forget(self) -> None:
         """Start the next plan without memory."""
         self._forbidden_text = ""
-        """Text about a target at a position forbidden to the vehicle; empty: it is allowed."""
+        """Text about a target at a position forbidden to the vehicle; empty if it is allowed."""
         self.waypoint: Waypoint | None = None
         self._planned_s: float | None = None
         self._is_searching: bool | None = None
@@ -210,7 +210,7 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
 
 
 def _forbidden_by(fence: Fence, position_enu_m: Point) -> str:
-    """Return why the vehicle may not be at an estimated position; empty: it may."""
+    """Return why the vehicle may not be at an estimated position; empty if it may."""
     if fence.allows(position_enu_m):
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)

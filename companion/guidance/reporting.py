@@ -67,8 +67,8 @@ class SettledRule:
         self._measuring_s = 0.0
         """Time between accepted measurements."""
         self._heard_s: float | None = None
-        """Time of the last accepted measurement; None: the vehicle held since then, or measurements
-        paused for long."""
+        """Time of the last accepted measurement; None if the vehicle held since then, or
+        measurements paused for long."""
         self._mark: tuple[float, float] | None = None
         """Measuring time and R95 at the latest improvement of R95."""
 
@@ -128,7 +128,7 @@ class Reporting:
         self._leg: tuple[float, PositionEnu | None] | None = None
         """Time at which the battery was found low, and the waypoint of that leg."""
         self._final: tuple[FlightMode, float] | None = None
-        """Mode after the last report, and the time of its request; None: no request is pending."""
+        """Mode after the last report, and time of its request; None if no request is pending."""
         self.has_finished = False
         """The mode after the last report, or after the end of the search, was requested."""
         self.is_search_over = False

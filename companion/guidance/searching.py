@@ -81,7 +81,7 @@ class Searching:
         self._stored_grid: StoredGrid | None = None
         self.state: SearchState | None = None
         """State of the search, some seconds old at most, by control ticks alone, so that a replay
-        has the same; None: there is no grid."""
+        has the same; None if there is no grid."""
         self._renewed_s = -math.inf
         self._is_final = False
         """True if the state contains everything that counts."""
@@ -248,7 +248,7 @@ class Searching:
         return self._outlook
 
     def prior(self, frame: LocalOrigin | None) -> SearchPrior | None:
-        """Return where the emitter may be, at contact; None: nothing is known in this frame."""
+        """Return where the emitter may be, at contact; None if nothing is known in this frame."""
         if self.state is None or not self.is_worth_reporting or frame != self._origin:
             return None
         return SearchPrior.of(self.state)

@@ -222,7 +222,7 @@ class GuidanceSession:
 
     @property
     def result(self) -> ReportResult | None:
-        """Latest report; None: no emitter was reported."""
+        """Latest report; None if no emitter was reported."""
         return self.context.result
 
     @property

@@ -200,7 +200,7 @@ class PositionAccuracyWatch:
                 self._begun_s = event.time_s
 
     def accuracy(self, now_s: float) -> PositionAccuracy | None:
-        """Return the accuracy in use; None: the first report of the receiver may still arrive."""
+        """Return the accuracy in use; None if the first report of the receiver may still arrive."""
         receiver, begun_s = self._receiver, self._begun_s
         if receiver is None and (begun_s is None or now_s - begun_s <= MAX_AGE_S):
             return None

@@ -68,7 +68,7 @@ class McapChannel:
     topic: str
     schema_name: str = ""
     schema: Mapping[str, object] | None = None
-    """Foxglove's schema; None: the messages are bytes without a schema."""
+    """Foxglove's schema; None if the messages are bytes without a schema."""
     message_encoding: str = "json"
 
 

@@ -110,7 +110,7 @@ class GatheringSelector(selectors.DefaultSelector):
         super().__init__()
         self._stamped = stamped
         self._others: tuple[Collection[int], Callable[[float], object]] | None = None
-        """Descriptors that may wait, and a wait of milliseconds for all others; None: the others
+        """Descriptors that may wait, and a wait in milliseconds for all others; None once the others
         changed."""
 
     def register(

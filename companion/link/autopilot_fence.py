@@ -105,7 +105,7 @@ class _Reading:
     tries: int = 0
     next_s: float = -math.inf
     refusal: int | None = None
-    """MAV_MISSION_RESULT of an autopilot that refused; None: it did not."""
+    """MAV_MISSION_RESULT of an autopilot that refused; None if it did not."""
 
     def advance(self) -> None:
         """Note that the request was answered; the next one is due at once."""

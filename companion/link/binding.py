@@ -70,7 +70,7 @@ class AutopilotBinding:
     binds: int = 0
     """Number of bindings so far."""
     problem: str | None = None
-    """Reason why no vehicle may be controlled now; None: one may."""
+    """Reason why no vehicle may be controlled now; None if one may."""
     is_in_control: bool = False
     is_committed: bool = False
     """True if it is in the air, or was when last received, after the companion had control."""

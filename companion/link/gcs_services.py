@@ -99,7 +99,7 @@ class ParameterServer:
         self._outlet = executor.outlet
         self._index = {spec.name: index for index, spec in enumerate(book.specs)}
         self.next_listed: int | None = None
-        """Number of the next value of a requested list; None: no list is requested."""
+        """Number of the next value of a requested list; None if no list is requested."""
         self._limit = RateLimit(ANSWERS_PER_S, ANSWERS_PER_S)
         self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
 

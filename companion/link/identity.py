@@ -342,7 +342,7 @@ lost, all five remain unanswered in one of thirty cases."""
 
 
 def uid_of(message: Message) -> str | None:
-    """Return the hardware id in a message as hexadecimal digits; None: it has none."""
+    """Return the hardware id in a message as hexadecimal digits; None if it has none."""
     if not isinstance(message, mavlink.MAVLink_autopilot_version_message):
         return None
     uid2 = bytes(message.uid2)

@@ -205,7 +205,7 @@ class LatchedCrossing:
     ) -> Waypoint | None:
         """Return an approach to the side of a far target, or None.
 
-        None: it is near, or there are no ranges with an array, or no leg is clear. The point is
+        None if it is near, or there are no ranges with an array, or no leg is clear. The point is
         where the line of sight would be at right angles to the leg, so that it is never reached.
         """
         assert request.estimate is not None

@@ -61,7 +61,7 @@ class PlanRequest:
     """Heading of the vehicle, counter-clockwise from east; None: unknown."""
     sigmas: tuple[float, float, float] | None = None
     """Standard deviations of a range, m, of a direction cosine, and of a power as a share of the
-    slant range, as measured: infinite where there are none. None: nothing was measured yet."""
+    slant range, as measured: infinite where there are none. None if nothing was measured yet."""
     joint_covariance: Matrix | None = field(default=None, compare=False)
     """Covariance (4, 4) of [east, north, range offset, bearing offset]; metres and radians.
 

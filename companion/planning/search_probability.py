@@ -99,7 +99,7 @@ class Decision:
 
     @property
     def chosen(self) -> CandidateLegs | None:
-        """Best candidate, or the present track unless it is clearly worse; None: none is worth."""
+        """Best candidate, or the current track unless clearly worse; None if neither is worth it."""
         best, present = self.best, self.present
         if present is not None and (best is None or best.rate <= LEAVE_RATIO * present.rate):
             return present if present.rate > 0.0 else None

@@ -94,14 +94,14 @@ class Calibration:
     bearings: int = 0
     tests: FieldTests = field(default_factory=FieldTests)
     lag_s: Figure | None = None
-    """Lag; None: the recording does not determine it, and 0 is used."""
+    """Lag; None if the recording does not determine it, and 0 is used."""
     range_fit: RangeFit | None = None
     bearing_fit: BearingFit | None = None
     is_by_north: bool = False
     """True if the bearings are from north and no mount is applied."""
     blocked: Blocked | None = None
     range_ratio: float | None = None
-    """Reported over observed sigma; None: none is reported."""
+    """Reported over observed sigma; None if none is reported."""
     bearing_ratio: float | None = None
     own_sigma_m: float | None = None
     range_refusals: list[str] = field(default_factory=list)

@@ -244,7 +244,7 @@ class OaiDecoder(_Cell):
         super().begin()
         self._numerology = self.options.numerology
         self._has_distances: bool | None = None
-        """True if answers have the distance; None: there was none yet."""
+        """True if answers have the distance; None if there was none yet."""
         self._first_steps: int | None = None
         """Delay of a first preamble that has no answer yet."""
 

@@ -79,7 +79,7 @@ class RadioReading:
     """One reading of an emitter as its radio reports it; None for values that were not measured."""
 
     emitter: str | int | None = None
-    """Emitter by its name on the wire; None: the format has none."""
+    """Emitter by its name on the wire; None if the format has none."""
     device_time_s: float | None = None
     """Device's own clock as on the wire: it may wrap, or restart."""
     age_s: float = 0.0
@@ -205,7 +205,7 @@ class RadioKind:
     """True if its ranges have an offset of the single device that may be longer than the search:
     without `range_offset_m` or `offset_steps` nothing is localised."""
     clock_wrap_s: float | None = None
-    """Period after which the device's clock restarts at zero; None: it never does."""
+    """Period after which the device's clock restarts at zero; None if it never does."""
     poll: Poll | None = None
     """Query for a radio that does not report by itself."""
     defaults: Mapping[str, object] = field(default_factory=dict)

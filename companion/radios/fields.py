@@ -262,7 +262,7 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
 
 
 def _unit_in(name: str) -> str:
-    """Return the unit by the end of a name; empty: it has none."""
+    """Return the unit by the end of a name; empty if it has none."""
     plain = name.removesuffix(HEX)
     return plain.rpartition("_")[2] if "_" in plain else ""
 

@@ -50,7 +50,7 @@ class KrakenSocketOptions(KrakenOptions, frozen=True):
     """Settings of the socket beside those of every KrakenSDR."""
 
     token: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9]{0,128}$")] = ""
-    """Token from `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty: it has none."""
+    """Token from `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty if none."""
 
 
 class KrakenSocketDecoder(KrakenDecoder):

@@ -30,7 +30,7 @@ class LineForm:
     pattern: re.Pattern[str]
     """Regular expression, each match of which is a reading; it needs named groups."""
     refused: str = ""
-    """Reason why such a line cannot be used; empty: it can."""
+    """Reason why such a line cannot be used; empty if it can."""
 
 
 def form(pattern: str, refused: str = "") -> LineForm:

@@ -61,7 +61,7 @@ class Layout:
     header: int
     """Bytes before the repeated element."""
     element: Struct | None = None
-    """Record of one node; None: the frame has no ranges and is skipped."""
+    """Record of one node; None if the frame has no ranges and is skipped."""
     element_bytes: int = 0
     """Size of an element; 0: sizes vary, and only the length is known."""
     time_at: int = 0

@@ -63,7 +63,7 @@ class Course:
     setpoints: list[bytes] = field(default_factory=list)
     localised_s: float | None = None
     whole: tuple[int, int] | None = None
-    """Number of estimates and setpoints before the first damaged input; None: none is damaged."""
+    """Number of estimates and setpoints before the first damaged input; None if none is damaged."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -154,7 +154,7 @@ class FlightRecording:
     """True if the inputs were recorded; otherwise they are guessed from the frames."""
     course: Course
     whole_inputs: int | None = None
-    """Number of inputs before the first that is damaged or missing; None: none is."""
+    """Number of inputs before the first that is damaged or missing; None if none is."""
     is_course_whole: bool = True
     """True if the recorded course is complete."""
     damage: tuple[str, ...] = ()

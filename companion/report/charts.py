@@ -352,7 +352,7 @@ def histogram(
     values: Sequence[float],
     cumulative: Callable[[float], float] | None = None,
 ) -> Chart | None:
-    """Draw the frequency of the values; None: there are no values.
+    """Draw the frequency of the values; None if there are no values.
 
     A line shows the expected frequency by the `cumulative` probability, of whole bars, so that both
     have one scale, however narrow the distribution. A few distant values would squeeze all others

@@ -62,9 +62,9 @@ class EstimatePoint(
     nis: Number | None = None
     covariance_m2: tuple[tuple[Number, Number], tuple[Number, Number]] | None = None
     emitter_id: int | None = None
-    """Id of the emitter; None: the log does not separate emitters."""
+    """Id of the emitter; None if the log does not separate emitters."""
     absolute_r95_m: Metres | None = None
-    """Absolute R95; None: the log is older than the absolute radius."""
+    """Absolute R95; None if the log is older than the absolute radius."""
 
     @property
     def radii(self) -> str:
@@ -192,7 +192,7 @@ def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:
 
 
 def _read(value: object, kind: type[T]) -> T | None:
-    """Return a value of the log converted to a type; None: it does not match."""
+    """Return a value of the log converted to a type; None if it does not match."""
     try:
         return msgspec.convert(value, kind)
     except (msgspec.ValidationError, OverflowError):

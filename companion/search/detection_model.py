@@ -105,7 +105,7 @@ class DetectionParams(Params, frozen=True):
             raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
 
     def model(self, preset_m: float | None) -> DetectionModel | None:
-        """Return the link with its reach, or with the preset's; None: neither is known."""
+        """Return the link with its reach, or with the preset's; None if neither is known."""
         reach_m, sigma_db = self.reach_m, CONFIGURED_SIGMA_DB
         if reach_m is None:
             reach_m, sigma_db = preset_m, PRESET_SIGMA_DB

@@ -400,7 +400,7 @@ def learnt_reach(
 ) -> LearntReach | None:
     """Return the reach after an emitter at a known position was first heard from `contact_m`.
 
-    None: the emitter lies outside of the searched area, where nothing was counted.
+    None if the emitter lies outside of the searched area, where nothing was counted.
     """
     model, grid, table = area.model, area.grid, area.table
     away = np.abs(grid.centres_enu_m - np.array(emitter_enu_m)).max(axis=1)

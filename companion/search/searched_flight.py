@@ -256,7 +256,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     heard: tuple[int, ...] = ()
     """Emitters that were heard and have no report."""
     sought: tuple[int, ...] | None = None
-    """Emitters for which counting continued, by id; empty: any other; None: it ended at contact."""
+    """Ids of the emitters still counted; empty: any other; None if counting ended at contact."""
     is_radio_heard: bool
     """True if the radio sent anything in this flight; if not, perhaps it never listened."""
     origin: LocalOrigin | None
@@ -274,9 +274,9 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
 def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
     """Return the combined coverage of flights, on the grid of the first one.
 
-    None: nothing can be stated, because it has no grid or model. Flights of other origins are moved
-    by the difference of the origins. What a contact showed of the reach holds for all flights that
-    assumed the same.
+    None if nothing can be stated, because it has no grid or model. Flights of other origins are
+    moved by the difference of the origins. What a contact showed of the reach holds for all flights
+    that assumed the same.
     """
     first = flights[0]
     if first.grid is None:
@@ -351,7 +351,7 @@ def _reach(flight: SearchedFlight) -> str:
 
 
 def reach_source(flight: SearchedFlight) -> str | None:
-    """Return where the reach is from, in words; None: it is unknown."""
+    """Return where the reach is from, in words; None if it is unknown."""
     if flight.detection is None:
         return None
     figures = f"{flight.detection.reach_m:g} m, {flight.detection.reach_sigma_db:g} dB"

@@ -314,7 +314,7 @@ class FlightSnapshot:
     next_step: str = ""
     """The operator's next step."""
     searched: str | None = None
-    """Searched area until now; None: no emitter is sought any more, or nothing is stated."""
+    """Searched area until now; None if no emitter is sought any more, or nothing is stated."""
 
 
 def searched_words(session: GuidanceSession) -> str | None:

@@ -230,7 +230,7 @@ class TerminalView(FlightView):
                 moment = self._take()
 
     def _take(self) -> FlightSnapshot | None:
-        """Wait for the next moment and return it; None: the view is closed."""
+        """Wait for the next moment and return it; None if the view is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._is_closed)
             moment, self._newest = self._newest, None

@@ -145,7 +145,7 @@ class WebProcess:
         self._next_s = 0.0
         self._is_over = False
         self._restart_s: float | None = None
-        """Monotonic time at which the ended child is restarted; None: it runs."""
+        """Monotonic time at which the ended child is restarted; None while it runs."""
         self._patience_s = RESTART_S
         self.starts = 0
         self.dropped = 0
@@ -332,7 +332,7 @@ class WebView(Collector):
         *,
         outlives: bool = False,
     ) -> None:
-        """`replayed` is a past flight; None: it is live, and the page may outlive it."""
+        """`replayed` is a past flight; None if it is live, and the page may outlive it."""
         super().__init__()
         self._outlives = outlives
         self._last: tuple[CompanionEndpoint, float] | None = None

@@ -46,7 +46,7 @@ class PhaseBar:
     """The phase in words, across the top."""
 
     def __init__(self, replay: str | None) -> None:
-        """`replay` is the banner of a past flight; None: the flight is live."""
+        """`replay` is the banner of a past flight; None if the flight is live."""
         if replay is not None:
             banner = ui.label(replay).classes("w-full rounded px-3 py-1 font-bold")
             banner.props("id=replay role=status").style(f"background: {REPLAYED}; color: white")

@@ -207,7 +207,7 @@ class StickInput:
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
     def held(self, now_s: float) -> Sticks | None:
-        """Return the deflections while a joystick or the pilot holds them; None: they rest."""
+        """Return the deflections while a joystick or the pilot holds them; None if they rest."""
         is_held = self.is_joystick_alive(now_s) or now_s < self._moved_until_s
         return self.read(now_s) if is_held else None
 

@@ -210,7 +210,7 @@ class Estimator:
         """Estimated heading minus the true one."""
         self.navigation = navigation
         self.error: NavigationError | None = None
-        """Error of the estimated position; None: it has none."""
+        """Error of the estimated position; None if it has none."""
         if navigation.errs_in_position:
             self.error = NavigationError(navigation, rng.spawn(1)[0])
         self._origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)

@@ -159,7 +159,7 @@ class Firmware(NamedTuple):
     """True if it obeys commands to components of its system that were never heard, and answers as
     itself."""
     dialect: Container[int] | None = None
-    """Ids of the messages that it knows; it does not pass on others. None: it passes on all."""
+    """Ids of the messages that it knows; it does not pass on others. None if it passes on all."""
     gives_plan_ids: bool = False
     """True if MISSION_CURRENT has ids of mission, fence and rally points."""
 

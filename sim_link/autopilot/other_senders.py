@@ -210,7 +210,7 @@ class RadioPayload:
     """Measures at a fixed rate while the vehicle is high and near enough.
 
     Args:
-        environment: The obstacles between the two; None: there are none.
+        environment: The obstacles between the two; None if there are none.
     """
 
     def __init__(

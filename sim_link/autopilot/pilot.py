@@ -70,7 +70,7 @@ class Pilot:
         self.takeoff_up_m = home_enu_m[2]
         """Height at which TAKE_OFF ends; set with the command."""
         self.final_up_m: float | None = None
-        """Height above which RETURN stays instead of landing; None: it lands."""
+        """Height above which RETURN stays instead of landing; None if it lands."""
         self.return_loiter_s = 0.0
         """Time for which RETURN waits over home before it descends."""
         self.circle_radius_m = 0.0

@@ -174,5 +174,5 @@ class Scenario(Params, frozen=True):
 
     @property
     def environment(self) -> Environment | None:
-        """The obstacles as the channel takes them; None: there are none."""
+        """The obstacles as the channel takes them; None if there are none."""
         return Environment(self.obstacles, self.shadow) if self.obstacles else None

@@ -106,7 +106,7 @@ class Emulator(ABC):
     rate_hz: ClassVar[float] = 10.0
     """Usual rate of the real radio."""
     names: ClassVar[str] = "{0}"
-    """Template of an emitter's name, by its id (0) or address; empty: the format has no names."""
+    """Template of an emitter's name, by its id (0) or address; empty if the format has no names."""
     first: ClassVar[int] = 0
     """Id in the format of emitter 0."""
     ids: ClassVar[range] = range(1 << 16)
@@ -116,11 +116,11 @@ class Emulator(ABC):
     reports_north: ClassVar[bool] = False
     """True if the format can carry a bearing from north."""
     request: ClassVar[bytes] = b""
-    """Poll that each round needs; empty: the radio sends unasked."""
+    """Poll that each round needs; empty if the radio sends unasked."""
     document: ClassVar[str | None] = None
-    """Path that is polled by HTTP; None: the radio sends unasked."""
+    """Path that is polled by HTTP; None if the radio sends unasked."""
     socket: ClassVar[str | None] = None
-    """Path of a web socket; its bytes are frames of RFC 6455 then. None: it has none."""
+    """Path of a web socket; its bytes are frames of RFC 6455 then. None if it has none."""
     epoch_s: ClassVar[float] = 0.0
     """Epoch of its clock; 0 is power-on."""
     banner: ClassVar[bytes] = b""
@@ -145,7 +145,7 @@ class Emulator(ABC):
 
     @classmethod
     def name_on_wire(cls, emitter_id: int) -> str:
-        """Return the name of an emitter in this format; empty: the format has no names."""
+        """Return the name of an emitter in this format; empty if the format has no names."""
         mac = mac_of(emitter_id)
         return cls.names.format(cls.first + emitter_id, mac=mac, mac_capitals=mac.upper())
 

@@ -73,7 +73,7 @@ class LossParams(Params, frozen=True):
     obstruction_db: NonNegative = 0.0
     """Mean loss of an obstructed path, in proportion to the excess of its range."""
     sensitivity_dbm: Annotated[float, msgspec.Meta(ge=-174.0, le=0.0)] | None = None
-    """Received power at which half of the packets are lost; None: the radio reports no power."""
+    """Received power at which half of the packets are lost; None if the radio reports no power."""
     power_step_db: Positive = 1.0
     """Step of the reported power."""
 

@@ -176,7 +176,7 @@ class FieldRadio(RadioChannel):
     ) -> RangingMeasurement | None:
         """Return one measurement of `emitter` from a position, local east, north, up.
 
-        None: it is lost.
+        None if it is lost.
         """
         params = in_the_field(self._params_of(emitter))
         is_plain = self._antenna.kind == "ideal" and self._measures == "both"

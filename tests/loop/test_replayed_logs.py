@@ -31,7 +31,7 @@ UNIX_S = 1_700_000_000
 PEER = ("127.0.0.1", 14580)
 STAMP = struct.Struct(">Q")
 Change = Callable[[Message, float], Message | None]
-"""A message of the log, at a time, as it was recorded; None: it is missing."""
+"""A message of the log, at a time, as it was recorded; None if it is missing."""
 
 
 class Recorded(Observer):

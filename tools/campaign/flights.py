@@ -63,7 +63,7 @@ class TrialOutcome:
 
     trial: Trial
     findings: tuple[str, ...] = ()
-    """Faults found; empty: the trial passed."""
+    """Faults found; empty if the trial passed."""
     sums: Mapping[str, float] = field(default_factory=dict)
     most: Mapping[str, float] = field(default_factory=dict)
     least: Mapping[str, float] = field(default_factory=dict)

@@ -44,7 +44,7 @@ SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 def flown(task: FieldFlight) -> tuple[Matrix, Vector]:
     """Return the true path, (n, 7): time, position, attitude at each measurement; and errors (n,).
 
-    An error is that of the estimate at the time, in the vehicle's frame; NaN: there is none yet.
+    An error is that of the estimate at the time, in the vehicle's frame; NaN if there is none yet.
     """
     notes = MemoryJournal()
     flight = Flight(task.config, task.scenario, task.seed, notes)

@@ -59,7 +59,7 @@ class FixPair:
 
 
 def fly_pair(number: int, seed: int) -> FixPair | None:
-    """Fly once; None: the emitter is never heard, or heard before there was a search."""
+    """Fly once; None if the emitter is never heard, or heard before there was a search."""
     rng = np.random.default_rng([seed, number, 2])
     world, model = draw_world(rng)
     grid, track = search_areas(rng), draw_track(rng, SIDE_M)

@@ -238,7 +238,7 @@ class AntennaFit(NamedTuple):
 def without_nlos(rows: Matrix, found: Sequence[AntennaFit]) -> Matrix | None:
     """Return the rows (n, 18) without bearings beside a range too long for any candidate.
 
-    None: there are none, or too few others for a comparison.
+    None if there are none, or too few others for a comparison.
     """
     is_long = np.any([each.excess > SIGNIFICANT_SIGMAS for each in found], axis=0)
     if not is_long.any() or np.count_nonzero(~is_long) < MIN_DIRECTIONS:

@@ -152,7 +152,7 @@ class _Condition:
             self._good_s = now_s
 
     def lasted_s(self, now_s: float) -> float | None:
-        """Return how long the condition has lasted, in seconds; None: it is over."""
+        """Return how long the condition has lasted, in seconds; None if it is over."""
         if self.since_s is None or self._is_over(now_s):
             return None
         return (now_s if self._good_s is None else self._bad_s) - self.since_s

@@ -151,7 +151,7 @@ class JumpWatch(Watch):
         self._first_s = -math.inf
         self._last_s = -math.inf
         self._jumped_m: PositionEnu | None = None
-        """Sum of the jumps since the position was steady; None: it is not in doubt."""
+        """Sum of the jumps since the position was steady; None if it is not in doubt."""
         self._newest: tuple[float, PositionEnu] | None = None
         """Time and size of the newest jump."""
         self._arrived_s = -math.inf

@@ -188,7 +188,7 @@ class OperatorCommandWatch(Watch):
         self.is_idle = True
 
     def objection(self, command: OperatorCommand) -> str | None:
-        """Return why a command would have no effect now, in a few words; None: it has one."""
+        """Return why a command would have no effect now, in a few words; None if it has one."""
         if command is OperatorCommand.GRANT:
             return self._objection_to_grant()
         if self._context.authority.phase not in IN_CONTROL:

@@ -106,7 +106,7 @@ class OwnLine:
     address: str
     make: Callable[[int, Received], Link]
     listens_at: UdpBind | TcpServer | None = None
-    """Transport to which others send; None: it does not listen."""
+    """Transport to which others send; None if it does not listen."""
 
     def __str__(self) -> str:
         return self.address

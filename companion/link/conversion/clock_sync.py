@@ -232,7 +232,7 @@ class ClockPace:
             self._exchanges.popleft()
 
     def wrong(self, now_s: float) -> float | None:
-        """Return the speed if it is clearly not 1; None: it is 1, or no straight line shows it."""
+        """Return the speed if it is clearly not 1; None if it is 1, or no straight line fits."""
         recent = self._exchanges
         if len(recent) < RESET_AFTER or now_s - recent[-1][0] > PACE_WINDOW_S:
             return None

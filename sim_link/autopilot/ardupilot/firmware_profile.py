@@ -147,7 +147,7 @@ class WireMode(NamedTuple):
     number: int
     name: str
     copter_number: int | None
-    """The Copter mode that does the same; None: it cannot be entered here."""
+    """The Copter mode that does the same; None if it cannot be entered here."""
 
 
 def _wire_modes(text: str) -> dict[int, WireMode]:

@@ -92,7 +92,7 @@ class Addressing:
     component_id: int = mavlink.MAV_COMP_ID_AUTOPILOT1
     is_known: Callable[[int, int], bool] | None = None
     """Predicate for components that were heard. ArduPilot answers for those of its system that were
-    not; None: it does not."""
+    not; None if it does not."""
 
     def is_for_us(self, message: Message) -> bool:
         """Return True if a message is a broadcast or names us."""

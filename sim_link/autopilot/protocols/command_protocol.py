@@ -335,7 +335,7 @@ class Clocks:
         clock: The vehicle's clock at a time since boot.
         names_targets: Whether a TIMESYNC answer names the asker, as the guide wants; ArduPilot
             sends the older form without targets.
-        dated_back_baud: Baud rate by which answers are dated back; None: they are not.
+        dated_back_baud: Baud rate by which answers are dated back; None if they are not.
 
     Source: ArduPilot 4.5, `GCS_MAVLINK::timesync_receive_timestamp_ns` and AP_HAL_SITL
     `UARTDriver::receive_time_constraint_us`.

@@ -148,7 +148,7 @@ PlanEvent = PlanChanged | CurrentChosen
 class PlanStore:
     """Plans stored in a vehicle: mission, fence and rally points.
 
-    `home` is item 0 as ArduPilot shows it, whatever was uploaded there; None: there is none.
+    `home` is item 0 as ArduPilot shows it, whatever was uploaded there; None if there is none.
     """
 
     def __init__(self, home: Callable[[], PlanItem] | None = None) -> None:

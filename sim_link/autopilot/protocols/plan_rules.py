@@ -76,7 +76,7 @@ class PlanChecks:
     """True if a WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
     nan_fourth: frozenset[int] | None = None
     """Commands of a mission whose fourth parameter may be NaN, and no parameter else (ArduPilot);
-    None: all may be."""
+    None if all may be."""
     more_positions: frozenset[int] = frozenset()
     """Commands with a position beyond those that both autopilots know."""
     more_others: frozenset[int] = frozenset()

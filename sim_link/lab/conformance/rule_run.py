@@ -131,7 +131,7 @@ class RuleRun:
         self._baseline = Baseline(HARM_FLAG in options.allowed, report)
         self._first: Any = None
         self._lost = ""
-        """Reason why the rest cannot be run; empty: it can."""
+        """Reason why the rest cannot be run; empty if it can."""
         self._is_in_order = True
         self._failed_landings = 0
         self._silences: list[str] = []

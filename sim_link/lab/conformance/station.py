@@ -377,7 +377,7 @@ class Baseline:
     custom_mode: int | None = None
     parameters: dict[str, Parameter] = field(default_factory=dict)
     plans: dict[int, list[Any] | None] = field(default_factory=dict)
-    """The items of each MAV_MISSION_TYPE; None: they could not be read."""
+    """The items of each MAV_MISSION_TYPE; None if they could not be read."""
     intervals: dict[int, float] = field(default_factory=dict)
     """Seconds between messages whose rates are not the link's own any more, as before; -1: off."""
     unknown_rates: set[int] = field(default_factory=set)

@@ -167,7 +167,7 @@ class RangingSecondEmitter(ContentFault, frozen=True, tag="ranging_second_emitte
     east_m: Length = 0.0
     north_m: Length = 60.0
     emitter_id: Annotated[int, msgspec.Meta(ge=0, le=65_535)] | None = None
-    """Id of the other emitter; None: it uses ours."""
+    """Id of the other emitter; None if it uses ours."""
 
 
 class RangingNan(ContentFault, frozen=True, tag="ranging_nan"):

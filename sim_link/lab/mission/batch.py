@@ -114,7 +114,7 @@ def _phrase(kind: str, fields: Mapping[str, object]) -> str:
 def invariants_of(record: FlightRecord) -> list[tuple[str, str, int | None, str]]:
     """Return every invariant: name, title, how often it did not hold, how far that was judged.
 
-    None: it was not judged, and why not.
+    None if it was not judged; the last text is then the reason.
     """
     counts = Counter(violated.invariant for violated in record.violations)
     scope = record.scope
@@ -181,7 +181,7 @@ class FlightTask:
     file: str
     seed: int
     reports: Path | None
-    """Folder of the reports; None: no reports are written."""
+    """Folder of the reports; None if no reports are written."""
     speed: float | None = None
     """Speed in times real time, with real processes; None: lockstep."""
     connect: str | None = None

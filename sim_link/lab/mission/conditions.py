@@ -213,7 +213,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
     getters = tuple(part.get for part in parts)
 
     def get(situation: FlightSituation) -> Value:
-        """Return the function's value; None: a part is unknown."""
+        """Return the function's value; None if a part is unknown."""
         values: list[Any] = [getter(situation) for getter in getters]
         return None if None in values else function(*values)
 

@@ -47,7 +47,7 @@ class StepOutcome:
     started_s: float
     ended_s: float
     failure: str = ""
-    """Cause of its failure; empty: it is done."""
+    """Cause of its failure; empty if it is done."""
 
     @property
     def title(self) -> str:
@@ -114,7 +114,7 @@ class FlightRecord:
     """Speed that the machine kept up with; empty: the requested one."""
     is_interrupted: bool = False
     skipped: str = ""
-    """Reason why it was not flown on this vehicle; empty: it was flown."""
+    """Reason why it was not flown on this vehicle; empty if it was flown."""
     wall_s: float = 0.0
     """Real time that it took; not part of the event log."""
     cpu_s: float = 0.0

@@ -94,7 +94,7 @@ class StepRunner:
 
     @property
     def failure(self) -> str:
-        """Reason why the mission ended early; empty: it did not."""
+        """Reason why the mission ended early; empty if it did not."""
         if self._record.failure:
             return self._record.failure
         last = self._record.steps[-1] if self._record.steps else None
@@ -185,8 +185,8 @@ class StepRule:
     is_met: Condition
     action: Action | None = None
     has_begun: Condition | None = None
-    """Condition that is true once the effect of the action shows; None: nothing shows before it is
-    met."""
+    """Condition that is true once the effect of the action shows; None if nothing shows before it
+    is met."""
     limit_s: float = math.inf
     for_s: float = 0.0
     """Time for which it must be met."""

@@ -30,7 +30,7 @@ class OwnJumps:
         self._scene = scene
         self._bias = scene.vehicle.estimator.bias_enu_m
         self._seemed: PositionEnu | None = None
-        """Apparent vehicle position after the jump; None: there was none."""
+        """Apparent vehicle position after the jump; None if there was none."""
         self._jumped_m = 0.0
         self._jumped_s = 0.0
         self._is_reported = False

@@ -85,7 +85,7 @@ def origin(latitude: int = 47 * E7, longitude: int = 8 * E7, altitude: int = 488
 class Wire:
     """One endpoint and its autopilot, system 1 component 1.
 
-    That system is configured, so that it is bound at once; None: it is listened for.
+    That system is configured, so that it is bound at once; None if it is listened for.
     """
 
     def __init__(

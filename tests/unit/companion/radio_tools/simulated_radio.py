@@ -263,9 +263,9 @@ class Score:
     name: str
     error: float
     is_within: bool | None
-    """True if it is within the specification; None: there is none."""
+    """True if it is within the specification; None if there is none."""
     is_covered: bool | None
-    """True if the interval contains the truth; None: there is no interval."""
+    """True if the interval contains the truth; None if there is no interval."""
 
 
 def scores(truth: Truth, done: Calibration) -> Iterator[Score]:
