@@ -220,7 +220,7 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     python: str = platform.python_version()
     numpy: str = np.__version__
     is_compiled: bool = IS_COMPILED
-    """Compiled kernels may differ from plain ones in the last digits."""
+    """True if the kernels were compiled: they may differ from plain ones in the last digits."""
 
     def link_specs(self, radios: Sequence[RadioConfig] | None = None) -> tuple[LinkSpec, ...]:
         """Return the role of each link; for other `radios` than in the flight, as many of them."""

@@ -257,9 +257,9 @@ class FlightOptions:
     """Options of the begin, the end and the views of a flight."""
 
     once: bool = False
-    """End by itself once the target is reported and the vehicle handed over."""
+    """True: the flight ends once the target is reported and the vehicle handed over."""
     is_fresh: bool = False
-    """Restore nothing of an earlier run."""
+    """True: nothing of an earlier run is restored."""
     views: Sequence[FlightView] = ()
     """Views of the flight, closed at its end."""
     at_end: Callable[[Path], None] | None = None

@@ -50,7 +50,7 @@ MAX_BOUND_RATIO = 1.3
 RANGE_SIGMAS_M = (0.5, 1.5, 2.5)
 
 WALKS = Path(__file__).resolve().parent.parent / "tests" / "data"
-"""Path of one recorded walk."""
+"""Folder of the recorded walks."""
 
 
 @dataclass(frozen=True, slots=True)

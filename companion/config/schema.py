@@ -161,7 +161,7 @@ class LogConfig(Params, frozen=True):
     """Cap of one flight's logs; of a longer flight the newest part is kept. A tenth is for
     events."""
     mcap: bool = False
-    """Write flight.mcap as well, for Foxglove; needs the extra `mcap`."""
+    """True: flight.mcap is written as well, for Foxglove; needs the extra `mcap`."""
     keep_flights: AtLeastOne | None = None
     """Number of older flights to keep at the start of a new one; null: all."""
 

@@ -41,8 +41,8 @@ class Handover:
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._has_flown = False
-        self._announced_missing: list[str] = []
         """True if the vehicle was in the air since control began."""
+        self._announced_missing: list[str] = []
         self._is_ignoring_announced = False
         """True once it was announced that offboard is ignored."""
         self._grant_announced_s: float | None = None
@@ -202,7 +202,7 @@ class Handover:
             context.announce(Severity.NOTICE, text)
 
     def is_yield_over(self, now_s: float) -> bool:
-        """End a yield once another mode was chosen; announce where a grant is needed instead."""
+        """End a yield once another mode was chosen, and return True; else announce a needed grant."""
         context, authority = self._context, self._context.authority
         if authority.may_begin:
             return context.enter(Trigger.MODE_LEFT, now_s)

@@ -335,7 +335,7 @@ class BackgroundFile(WriterThread[bytes]):
         logger.warning("%s: the disk is too slow, records are lost", self.path)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write everything queued within `timeout_s`, then close."""
+        """Write everything queued within `timeout_s`, then close; return True on success."""
         is_written = super().close(timeout_s)
         if not is_written:
             logger.warning("%s: the disk hangs, the end of the log is lost", self.path)

@@ -155,7 +155,7 @@ class McapLog(WriterThread[Message]):
         self._put(INPUT_CHANNEL, record, now_s)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write everything queued within `timeout_s`, and finish the file."""
+        """Write everything queued within `timeout_s`, finish the file; return True on success."""
         is_written = super().close(timeout_s)
         if self.dropped or not is_written:
             log.warning("%s: %d messages lost, %s", self.path, self.dropped, self._error or "slow")

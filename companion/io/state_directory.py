@@ -231,7 +231,7 @@ class _Slot(msgspec.Struct, frozen=True):
     generation: int
     """Rises with every storing."""
     is_end: bool
-    """Nothing was heard or signed after it."""
+    """True if nothing was heard or signed after it."""
     timestamp: int
     streams: list[tuple[tuple[int, ...], int]]
     clock: int | None = None

@@ -211,7 +211,7 @@ class PansOptions(Params, frozen=True):
     """Options for opening the shell."""
 
     send_lec: bool = False
-    """Open the shell and switch its lines on; where they flow already, this would stop them."""
+    """True: open the shell and switch its lines on; that stops lines that flow already."""
 
 
 class PansDecoder(FieldDecoder):

@@ -40,7 +40,7 @@ class PowerScanOptions(Params, frozen=True):
     """Properties that the lines leave open."""
 
     single_emitter: bool = False
-    """All lines without an address are of one emitter."""
+    """True: all lines without an address are from one emitter."""
 
 
 class PowerScanDecoder(FormDecoder):

@@ -290,7 +290,7 @@ class AndroidRttOptions(Params, frozen=True):
     unit: Literal["mm", "cm", "m", "ns", "ps"] | None = None
     """Unit of distances and deviations whose columns have none in their names."""
     single_emitter: bool = False
-    """All rows are of one access point, which no column names."""
+    """True: all rows are from one access point, which no column names."""
     time_unit: Literal["auto", "s", "ms", "us", "ns"] = "auto"
     """Unit of the timestamp; auto: by the column's name, else by its digits if it is a date."""
     header: Annotated[str, msgspec.Meta(max_length=1000)] = ""

@@ -34,7 +34,7 @@ class HistoryPart(NamedTuple, Generic[T]):
 
     items: list[T]
     is_whole: bool
-    """The items replace the reader's; otherwise they are appended."""
+    """True if the items replace the reader's; otherwise they are appended."""
 
 
 class History(Generic[T]):

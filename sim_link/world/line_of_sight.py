@@ -144,7 +144,7 @@ def walls_between(
 
 @kernel
 def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matrix) -> bool:
-    """Return the same in the plane, where an obstacle of any height blocks."""
+    """Return True if the path is blocked in the plane, where an obstacle of any height blocks."""
     return is_blocked_in_space(target_e, target_n, 0.0, e, n, 0.0, edges)
 
 

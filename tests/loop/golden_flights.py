@@ -74,7 +74,7 @@ class Plan:
     faults: tuple[Fault, ...] = ()
     happenings: tuple[Happening, ...] = ()
     is_killed: bool = False
-    """The recorded process takes up what one before it knew."""
+    """True if the recorded process resumes from the checkpoint of the one before."""
 
 
 class Golden(msgspec.Struct, frozen=True):

@@ -181,7 +181,7 @@ def is_positive_definite(mean: Vector, P: Matrix) -> bool:
 
 @kernel
 def is_positive_definite_by_entries(mean: Vector, P: Matrix) -> bool:
-    """Return the result of `is_positive_definite`, entry by entry, see `joseph_row_by_entries`."""
+    """Return `is_positive_definite` computed entry by entry, see `joseph_row_by_entries`."""
     if not math.isfinite(mean.sum() + P.sum()):
         return False
     n = mean.size

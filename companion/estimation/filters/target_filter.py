@@ -243,8 +243,8 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
     power_at_1m_sigma_db: Positive = 10.0
     """Prior standard deviation of the power at 1 m: transmit power and gains of both antennas."""
     near_target_terms: bool = True
-    """Second-order terms of the measurement model, without which the filter diverges near the
-    target."""
+    """True: variances contain the second-order terms of the measurement model, without which the
+    filter diverges near the target."""
 
     def params(self) -> FilterParams:
         """Return these parameters."""

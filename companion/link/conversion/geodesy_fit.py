@@ -105,7 +105,7 @@ class GeodesyFit:
         return self._compare()
 
     def _compare(self) -> bool:
-        """Compare a global position once there are local ones before and after it."""
+        """Compare a global position with the local ones around it; True if the fit changed."""
         if self._waiting is None or self._before is None or self._latest is None:
             return False
         (stamp_s, geodetic), (from_s, start) = self._waiting, self._before

@@ -48,7 +48,7 @@ class LinkSetup(NamedTuple):
 
     mode: LinkMode = "onboard"
     has_one_peer: bool = False
-    """The first sender is the only one answered, as on a UDP port of PX4; otherwise all share
+    """True if only the first sender is answered, as on a UDP port of PX4; otherwise all share
     it."""
 
 

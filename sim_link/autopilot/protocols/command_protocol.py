@@ -115,7 +115,7 @@ class CommandForms:
     int_only: frozenset[int] = frozenset()
     """UNSUPPORTED as COMMAND_LONG."""
     splits_custom_mode: bool = True
-    """PX4's DO_SET_MODE has main and sub mode apart; ArduPilot's the whole custom mode."""
+    """True if DO_SET_MODE carries main and sub mode separately (PX4); else the custom mode."""
     acknowledges_set_mode_as: int = mavlink.MAV_CMD_DO_SET_MODE
     """ArduPilot: by the number of the message."""
 

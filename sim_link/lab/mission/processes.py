@@ -262,7 +262,7 @@ class MavsdkOperator:
         """Kind of autopilot, set by the observer of the vehicle: mode numbers differ between
         autopilots."""
         self.is_armed = False
-        """Arming state, set by the observer of the vehicle."""
+        """True while the vehicle is armed; set by its observer."""
 
     async def __aenter__(self) -> MavsdkOperator:
         from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -286,7 +286,7 @@ class MavsdkOperator:
         await self._mavsdk.__aexit__(None, None, None)
 
     def _note(self, level: Any, message: str, *_: object) -> bool:
-        """Keep a remark of MAVSDK's, which then prints nothing."""
+        """Keep a remark of MAVSDK; return True, so that MAVSDK prints nothing."""
         with suppress(OSError), self._log.open("a", encoding="utf-8") as file:
             file.write(f"{level.name} {message}\n")
         return True

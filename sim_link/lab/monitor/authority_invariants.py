@@ -62,7 +62,7 @@ class OnlyWithAuthority(Invariant):
     _aside_s: float | None = None
     """Time since which another mode is shown without a failsafe after control was lost."""
     _is_barred = False
-    """Control that was lost returns only by a grant."""
+    """True if control was lost and returns only by a grant."""
     _given_s = -1.0
     """Time at which a person selected the mode again after its loss, or since the process began."""
     _may_engage = True

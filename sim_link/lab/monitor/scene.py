@@ -113,7 +113,7 @@ class ObservedState:
 
     heartbeat_s: float | None = None
     is_ours: bool = False
-    """The newest mode is ours and the vehicle is armed."""
+    """True if the newest mode is ours and the vehicle is armed."""
     left_s: float = -math.inf
     """Time of the latest report of a mode that ended ours."""
     mode_sent_at: tuple[float, int] = (-1.0, 0)
@@ -178,7 +178,7 @@ class ObservedScene:
     has_silent_vehicle: bool = False
     """True if the vehicle was silent for seconds before the last frame."""
     is_signed: bool = False
-    """Frames without a signature of our key are refused."""
+    """True if frames without a signature of our key are refused."""
     is_lied_to: bool = False
     """True if an unknown peer had to be accepted: in a flood of its positions any may count."""
     violations: list[InvariantViolation] = field(default_factory=list)
