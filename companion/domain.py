@@ -22,7 +22,7 @@ from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import Point as Point
 
 MOST = 1e6
-"""Greatest configured length, time, speed or ratio in its unit; the product of any four still fits
+"""Largest configured length, time, speed or ratio in its unit; the product of any four still fits
 the float32 of a parameter or an estimate on the wire."""
 MAX_COORDINATE_M = 1e5
 """Limit of coordinates in the local frame, and of an estimate's standard deviation: 100 km."""

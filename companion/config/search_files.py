@@ -32,9 +32,9 @@ from companion.geometry.polygons import is_simple
 from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
 
 MOST_CORNERS = 2000
-"""Most corners of all polygons together; with so many the grid takes a quarter of a second."""
+"""Maximum number of corners of all polygons; with these the grid takes a quarter of a second."""
 MOST_RASTER_CELLS = 100 * MOST_CELLS
-"""Most cells of a raster, a hundred in each cell of the search; a finer one adds nothing."""
+"""Maximum number of raster cells, a hundred in each cell of the search; more add nothing."""
 
 
 def read_search_site(path: Path) -> SearchSite:

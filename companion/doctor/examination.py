@@ -128,7 +128,7 @@ NEEDED_ESTIMATES = {
 }
 """Bits of ESTIMATOR_STATUS_FLAGS, of which EKF_STATUS_FLAGS has the same; one of each will do."""
 ENOUGH_SHARE = 0.8
-"""Least share of the requested rate."""
+"""Minimum share of the requested rate."""
 NOTICED_LOSS, MUCH_LOSS = 0.02, 0.30
 SLOW_ROUND_TRIP_S, USELESS_ROUND_TRIP_S = 0.1, 0.5
 FIX_3D = 3

@@ -29,7 +29,7 @@ RESTORED_VARIANCE_FACTOR = 2.0
 Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
 """
 MAX_HYPOTHESES = 32
-"""Most hypotheses of a checkpoint; a tracker begins with 24, on the ring of a first range."""
+"""Maximum number of hypotheses in a checkpoint; a first range gives a ring of 24."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -143,7 +143,7 @@ class Contradiction:
 
 
 NIS_WINDOW_COUNT = PROVEN_COUNT
-"""Fewest measurements in the window of the NIS, as many as prove an estimate."""
+"""Minimum number of measurements in the NIS window, as many as prove an estimate."""
 RESTART_MEMORY_S = 60.0
 """Time in which resets of the track are counted, s.
 

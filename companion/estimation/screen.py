@@ -149,9 +149,9 @@ class Objection(Enum):
 FROZEN_COUNT = 5
 """Equal values in a row before a value may be frozen."""
 FROZEN_S = 1.0
-"""Least duration of equal values before they are frozen, s."""
+"""Minimum duration of equal values before they are frozen, s."""
 FROZEN_M = 2.0
-"""Least motion of the vehicle during equal values before they are frozen, m.
+"""Minimum motion of the vehicle during equal values before they are frozen, m.
 
 Less drops a true value that happens to repeat, more uses a wrong one: on recorded walks a value is
 the same up to 6 times and for up to 1.6 m, and that of a receiver that hangs for good.

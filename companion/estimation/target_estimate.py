@@ -37,7 +37,7 @@ _COS2, _SIN2 = (ratio((np.arange(64) + 0.5) * (math.pi / 128.0)) ** 2 for ratio 
 symmetry for the whole turn."""
 
 MAX_AMBIGUOUS = 3
-"""Most distinct positions of an ambiguous state; with more of them it is searching.
+"""Maximum number of distinct positions of an ambiguous state; with more it is searching.
 
 Chosen: fewer call a search what a detour would resolve, more call a ring of positions ambiguous.
 """

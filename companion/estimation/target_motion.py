@@ -49,7 +49,7 @@ from companion.kernel import Matrix, Vector
 SPANS_S = (10.0, 20.0, 40.0)
 """Spans that are tested, s: short ones for a target that turns soon, long ones for a slow one."""
 EVERY_S = 1.0
-"""Least time between two tests, s: less costs more, more reports a motion later."""
+"""Minimum time between two tests, s: less costs more, more reports a motion later."""
 IDLE_EVERY_COUNT = 10
 """Measurements between two tests while nothing indicates motion; else they are half as many. Fewer
 cost more, more suspect a motion later; with 5 or 20 the walking targets of the tests are found."""

@@ -61,7 +61,7 @@ class Sampling(NamedTuple):
     span_s: float
     """Span of a check; older samples are dropped."""
     least: int
-    """Fewest samples in a check, which are kept even if they are older."""
+    """Minimum number of samples in a check, which are kept even if they are older."""
     most: int
     every: int
     """Samples between two checks."""
@@ -73,8 +73,8 @@ degrees to radians that was applied to ranges as well."""
 RANGES = Sampling(span_s=3.0, least=MIN_MEASUREMENTS, most=48, every=8)
 """A vehicle at 3 m/s moves by 9 m in that span."""
 WILD_M = 100.0
-"""Most metres that reflections add to a range: quartiles of 3 s are up to 20 m apart in the field's
-flights and 11 m on recorded walks, so that half of it or twice as much decides alike there."""
+"""Largest range excess by reflections: quartiles of 3 s are up to 20 m apart in the flights of the
+field and 11 m on recorded walks, so that half or twice as much decides alike there."""
 DECISION_LOG_ODDS = math.log(1000.0)
 """Log odds at which a hypothesis about the radio is accepted: a unit, or an antenna.
 

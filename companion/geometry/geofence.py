@@ -198,7 +198,7 @@ def _named(point: Point) -> str:
 
 
 def _apart(one: Corners, other: Corners) -> tuple[float, Point]:
-    """Return the greatest distance of either border from the other, and where (Hausdorff)."""
+    """Return the largest distance of either border from the other, and where (Hausdorff)."""
     return max(_reach(one, other), _reach(other, one))
 
 

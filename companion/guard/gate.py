@@ -89,7 +89,7 @@ class GuardLimits:
 
     @property
     def altitude_m(self) -> tuple[float, float]:
-        """The least and the greatest height of a setpoint above home."""
+        """The smallest and the largest height of a setpoint above home."""
         clearance_m, envelope = self.stopping.clearance_m, self.envelope
         return envelope.altitude_min_m + clearance_m, envelope.altitude_max_m - clearance_m
 

@@ -25,7 +25,7 @@ from companion.geometry.polygons import Corners, Point, check_polygon, deepest_p
 
 LEAST_FENCE_M2 = 1.0
 LEAST_KEEP_OUT_M2 = 1e-3
-"""Least area of a keep-out: that of a mast is valid."""
+"""Minimum area of a keep-out: that of a mast is valid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class Stopping:
         return ahead(position, velocity_mps, time_s)
 
     def speed_mps(self, room_m: float, wait_s: float) -> float:
-        """Return the greatest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
+        """Return the highest speed, kept `wait_s`, with v wait + v^2 / 2a = `room_m`."""
         waiting_mps = self.deceleration_mps2 * wait_s
         squared = waiting_mps * waiting_mps + 2.0 * self.deceleration_mps2 * room_m
         return math.sqrt(squared) - waiting_mps

@@ -202,7 +202,7 @@ class Handover:
             context.announce(Severity.NOTICE, text)
 
     def is_yield_over(self, now_s: float) -> bool:
-        """End a yield once another mode was chosen, and return True; else announce a needed grant."""
+        """Return True if a yield ends, as another mode was chosen; announce a grant if needed."""
         context, authority = self._context, self._context.authority
         if authority.may_begin:
             return context.enter(Trigger.MODE_LEFT, now_s)

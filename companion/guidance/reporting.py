@@ -130,7 +130,7 @@ class Reporting:
         self._final: tuple[FlightMode, float] | None = None
         """Mode after the last report, and time of its request; None if no request is pending."""
         self.has_finished = False
-        """True once the mode after the last report, or after the end of the search, was requested."""
+        """True once the mode after the last report, or the end of the search, was requested."""
         self.is_search_over = False
         """True if the search ended before all emitters were heard."""
 

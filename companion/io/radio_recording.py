@@ -26,7 +26,7 @@ from companion.io.files import OnDamage
 
 VERSION = 1
 MOST_DATA_BYTES = 65_536
-"""Most bytes of one record; more are divided among several."""
+"""Maximum number of bytes of one record; more are split over several."""
 MOST_LINE_BYTES = 262_144
 BUFFER_BYTES = 65_536
 BUFFER_S = 1.0

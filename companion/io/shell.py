@@ -110,8 +110,8 @@ class GatheringSelector(selectors.DefaultSelector):
         super().__init__()
         self._stamped = stamped
         self._others: tuple[Collection[int], Callable[[float], object]] | None = None
-        """Descriptors that may wait, and a wait in milliseconds for all others; None once the others
-        changed."""
+        """Descriptors that may wait, and a wait in milliseconds for all others; None once the
+        others changed."""
 
     def register(
         self, fileobj: FileDescriptorLike, events: int, data: object = None

@@ -53,7 +53,7 @@ JITTER_S = 1.0
 CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
 """Stamps, and time, for which another course must continue alone before the old one is left."""
 SPAN_S = 1.0
-"""Least duration of a course from which frames return."""
+"""Minimum duration of a course from which frames return."""
 RETURNS, FEWEST_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
 """Returns to the old course within a time that prove two senders; the smaller number where waiting
 costs nothing."""

@@ -58,7 +58,7 @@ class RadioSettings(Params, frozen=True):
     """Offset of ranges: range = (reported - range_offset_m) / range_scale."""
     range_scale: Annotated[float, msgspec.Meta(ge=0.5, le=2.0)] = 1.0
     range_min_m: Signed = 0.0
-    """Least corrected range; a shorter one is refused."""
+    """Minimum corrected range; a shorter one is refused."""
     range_max_m: Positive | None = None
     """Longest corrected range; a longer one is refused; null: by `AcceptanceParams`, 2 km."""
     zero: Literal["refuse", "accept"] = "refuse"
@@ -82,7 +82,7 @@ class RadioSettings(Params, frozen=True):
     elevation_sigma_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] | None = None
 
     quality_min: Share = 0.0
-    """Least quality; a reading of lower quality is refused."""
+    """Minimum quality; a reading of lower quality is refused."""
     sigma_factors: tuple[tuple[Share, Positive], ...] = ()
     """[quality, factor] pairs, ascending: from that quality on sigmas are multiplied by the
     factor."""

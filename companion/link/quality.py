@@ -45,7 +45,7 @@ WINDOW_S = 3.0
 """Span over which the loss is measured."""
 BUCKET_S = 0.1
 MIN_EXPECTED = 20
-"""Fewest expected frames in that span for a measurement."""
+"""Minimum number of expected frames in that span for a measurement."""
 
 
 class SequenceMonitor:

@@ -176,7 +176,7 @@ class ParamType(IntEnum):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Least and greatest value of the type."""
+        """Smallest and largest value of the type."""
         if self is ParamType.REAL32:
             return -MAX_REAL32, MAX_REAL32
         bits = 8 * _FORMATS[self].size

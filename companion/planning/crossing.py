@@ -10,7 +10,7 @@ evenly, without planning and at O(1) cost. With an altitude swing the crossings 
 alternately above and below the search altitude, so that elevations differ, too; it takes longer.
 
 With an antenna array, with received power, or with ranges alone to a target of configured height,
-`views` gives the information of a leg, which decides three things. The overshoot has the greatest
+`views` gives the information of a leg, which decides three things. The overshoot has the highest
 rate of information, though it is never shorter than the standard deviations above, because only
 views from both sides separate the bearing offset, or P0, from the position. The turn begins where
 braking would, at most a quarter of the overshoot early. And with `descend` the altitude is the
@@ -195,7 +195,7 @@ class LatchedCrossing:
     def _reach_m(
         self, request: PlanRequest, sensor: SensorGeometry, latch: Latch, sigmas_m: float
     ) -> float:
-        """Return the overshoot of greatest rate, not less than the position's sigmas."""
+        """Return the overshoot with the highest rate, not less than the position's sigmas."""
         most_m = self.params.overshoot_max_m
         leg = _leg(request, sensor, latch.direction, latch.descent_m)
         return max(best_reach_m(leg, self.params.overshoot_min_m, most_m), min(sigmas_m, most_m))

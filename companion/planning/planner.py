@@ -33,7 +33,7 @@ class PlanRequest:
     fence_margin_m: float = 0.0
     """Distance to keep from the fence and from every keep-out."""
     baseline_m: float = 0.0
-    """Least horizontal distance of an informative view of the target; 0 where bearings are
+    """Minimum horizontal distance of an informative view of the target; 0 where bearings are
     measured.
 
     Straight above it a slant range hardly depends on the target's position.

@@ -44,7 +44,7 @@ from companion.planning.search_tracks import (
 )
 
 TRANSITIONS_AT_ONCE = 4
-"""Most leg ends passed in one request; no real track has more within one arrival radius."""
+"""Maximum number of leg ends passed in one request; no real track has more that close."""
 
 
 Spacing = Annotated[float, msgspec.Meta(ge=1.0, le=1e4)]

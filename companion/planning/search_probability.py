@@ -3,7 +3,7 @@
 Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
 pattern over the whole area, lanes over connected cells above a level of the remaining density,
 along and across, an expanding square about the densest of them, and a sector search about the only
-one. The value of a candidate is the greatest rate of success per second of its beginnings, the
+one. The value of a candidate is the highest rate of success per second of its beginnings, the
 flight to it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
@@ -42,7 +42,7 @@ MOST_LEGS = 12
 LEAVE_RATIO = 1.2
 """Rate of another candidate over that of the present track; forecasts err by about as much."""
 LEVELS = (0.7, 0.4, 0.15)
-"""Densities, against the greatest, whose regions become candidates."""
+"""Densities, relative to the highest, whose regions become candidates."""
 MOST_REGIONS = 3
 """Regions of a level that are considered, the most probable first."""
 
@@ -72,7 +72,7 @@ class CandidateLegs:
     gain: float = 0.0
     index: int = 0
     rate: float = 0.0
-    """Greatest rate of success so far, 1/m."""
+    """Highest rate of success so far, 1/m."""
     first: tuple[float, float, str] = (0.0, 0.0, "")
     """Gain, length and sector of the first leg with the flight to it."""
 
@@ -99,7 +99,7 @@ class Decision:
 
     @property
     def chosen(self) -> CandidateLegs | None:
-        """Best candidate, or the current track unless clearly worse; None if neither is worth it."""
+        """Best candidate, or the current track unless clearly worse; None if neither is good."""
         best, present = self.best, self.present
         if present is not None and (best is None or best.rate <= LEAVE_RATIO * present.rate):
             return present if present.rate > 0.0 else None

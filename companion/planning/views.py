@@ -48,7 +48,7 @@ from companion.kernel import kernel
 
 Triple = tuple[float, float, float]
 LEAST_HEIGHT_M = 1.0
-"""Least height above the target: below it, errors of position and antenna dominate."""
+"""Minimum height above the target: below it, errors of position and antenna dominate."""
 BISECTIONS = 8
 """Bisections of the overshoot: its bounds are 20 m apart, so that 0.1 m remain."""
 WHOLE_RAD = 0.5 * math.pi
@@ -199,7 +199,7 @@ def rate(reach_m: float, leg: LegView) -> float:
 
 @kernel
 def best_reach_m(leg: LegView, least_m: float, most_m: float) -> float:
-    """Return the overshoot of the greatest rate between two bounds.
+    """Return the overshoot with the highest rate between two bounds.
 
     It is found by bisection, and, because a field of view and tilted axes make more than one
     maximum, compared with both bounds and the edges of the field of view.

@@ -3,7 +3,7 @@
 Theory of operation. A device counts clockwise or counter-clockwise from a boresight at some angle
 to the vehicle's nose, and an emitter behind it is reported there or, by two antennas, as its mirror
 image in front. Each of the four combinations is tried at every lag; the one whose residuals have
-the greatest resultant length is chosen if it is clearly the best. Around it mount and lag are
+the largest resultant length is chosen if it is clearly the best. Around it mount and lag are
 fitted robustly, together with harmonics over the angle (the antenna's elements, the vehicle's body)
 and, if a circle was flown, over the heading (the compass).
 
@@ -40,11 +40,11 @@ MOST_SCANNED = 500
 """Bearings of the scan; the fit takes all."""
 LEAST_RESULTANT = 0.5
 LEAST_FOLDED_RESULTANT = 0.8
-"""Least resultant length of folded angles; even one that stands still has 0.64."""
+"""Minimum resultant length of folded angles; even one that stands still has 0.64."""
 UNLIKELY_PER_S = 1e-3
 """Penalty per second, so that of equally good lags the smallest is chosen."""
 LEAST_LEAD = 0.15
-"""Least difference by which the resultant of one sign must be the longer."""
+"""Minimum difference by which the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
 """The same lead for bearings from north, most of which may be of one direction."""
 HUBER_K = 1.5
@@ -54,7 +54,7 @@ PIECE_S = 5.0
 VIEW_STEP_RAD = math.radians(15.0)
 LEAST_IN_A_STEP = 8
 WIDER = 2.5
-"""Least ratio of the scatter of bearings beyond the field of view to that in its middle."""
+"""Minimum ratio of the scatter of bearings beyond the field of view to that in its middle."""
 CLIP_SIGMAS = 3.0
 LAG_SIGMA_S = 0.15
 LEAST_SIGMA_RAD = 1e-4

@@ -244,7 +244,7 @@ def _record(arguments: argparse.Namespace) -> None:
 
 LISTEN_S = 20.0
 FEWEST = 5
-"""Least ranges for a median; a cell has one for each attach of the phone."""
+"""Minimum number of ranges for a median; a cell has one for each attach of the phone."""
 MOST_BESIDE_M = 20.0
 """Longest distance to the emitter; farther away a reflection may be in the median: that is a line
 test."""

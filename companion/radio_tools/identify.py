@@ -28,7 +28,7 @@ LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
 """Baud rates of the built-in radios and of their variants, the usual one first."""
 FEWEST = 2
-"""Fewest readings: a single one may be chance, and slow radios give one or two in the time."""
+"""Minimum number of readings: one may be chance, and slow radios give one or two in the time."""
 HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
 """Share of the time for each of those speeds: slow radios are text at the first, the second is
 fast."""
@@ -39,9 +39,9 @@ PLAYED = "?play=10"
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """Number of bytes, and their share of non-text, that mean another speed if there is no reading."""
 FEWEST_POWERS = 3
-"""Fewest received powers that are no accident of a console that prints ranges, too."""
+"""Minimum number of received powers that are no accident of a console that prints ranges, too."""
 FEWEST_FRAMES_SHARE = 0.5
-"""Least share of the bytes in binary formats, whose short frames without a checksum occur in
+"""Minimum share of the bytes in binary formats, whose short frames without a checksum occur in
 noise."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)

@@ -41,7 +41,7 @@ SCAN_S = 2.5
 SCAN_STEP_S = 0.1
 LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3
-"""Least difference of the vehicle's speed towards the point at the same position."""
+"""Minimum difference of the vehicle's speed towards the point at the same position."""
 LAG_SIGMA_S = 0.15
 """Largest sigma of a lag that counts as determined."""
 

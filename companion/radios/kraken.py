@@ -37,7 +37,7 @@ AWAY_MS = 10_000.0
 STILL_S = 5.0
 """Time without a change after which a page is reported; it is read more often than it changes."""
 LEAST_HZ = 1e6
-"""Least plausible frequency: receivers begin at 24 MHz, so a smaller number has another unit."""
+"""Lowest plausible frequency: receivers begin at 24 MHz, so a smaller number has another unit."""
 MOST_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 HEADINGS = {"GPS", "Compass"}

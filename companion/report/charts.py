@@ -23,7 +23,7 @@ from companion.web.settings import zooms_of
 MARGIN = 44.0
 """Margin around the plot, for the ticks."""
 MAX_POINTS = 1500
-"""Most points of a curve; more cannot be distinguished."""
+"""Maximum number of points of a curve; more cannot be distinguished."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ MAP_SIZE = 640.0
 CHART_SIZE = (560.0, 220.0)
 BINS = 50
 LEAST_SPAN = 1e-3
-"""Least span of the axis of a histogram whose values are all the same."""
+"""Minimum span of the axis of a histogram whose values are all the same."""
 ELLIPSES = 8
 """Number of ellipses drawn of each emitter, evenly over the flight; the newer, the stronger."""
 ELLIPSE_CORNERS = 90
@@ -387,7 +387,7 @@ def histogram(
 
 
 MOST_TILES = 24
-"""Most tiles of a page; at some 20 kB each, as much as the rest of a long report."""
+"""Maximum number of tiles of a page; at some 20 kB each, as much as the rest of a long report."""
 KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
 """Magic numbers of image formats; file names are ignored."""
 MOST_BYTES = 2_000_000

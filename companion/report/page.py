@@ -52,7 +52,7 @@ from companion.report.flight_summary import (
 from companion.web.settings import check_tiles
 
 LEAST_M = 1e-3
-"""Least value of a logarithmic axis, which has no zero."""
+"""Smallest value of a logarithmic axis, which has no zero."""
 MAX_EVENTS = 500
 """Rows of the table of events; the event log has all."""
 QUICK_BYTES = 3_000_000

@@ -136,7 +136,7 @@ class Outlook:
 
     @property
     def density(self) -> Floats:
-        """(cells,) chance of each cell, against the greatest."""
+        """(cells,) chance of each cell, relative to the highest."""
         mass: Floats = self.chance.sum(axis=1, dtype=float)
         return mass / max(float(mass.max()), 1e-300)
 

@@ -22,11 +22,11 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MOST_CELLS = 40_000
-"""Most cells, 16 km^2 in cells of 20 m; an update of so many takes some 10 ms of one core."""
+"""Maximum number of cells, 16 km^2 in cells of 20 m; an update takes about 10 ms of one core."""
 LEAST_M2 = 1.0
 """Smallest area of a polygon, as for a fence."""
 LEAST_ACROSS = 10
-"""Least number of cells over the shorter side of a small area, so that a gap in it has a shape."""
+"""Minimum number of cells across the shorter side of a small area, so that a gap has a shape."""
 
 
 @dataclass(frozen=True, slots=True)

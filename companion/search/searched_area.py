@@ -343,13 +343,13 @@ def _key_of(position_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
 
 
 LEAST_ODDS = 0.1
-"""Least odds of a position to the likeliest one: two such positions are still ambiguous, as the
+"""Minimum odds of a position to the likeliest one: two such positions are still ambiguous, as the
 estimate counts it (a second position of 5 % or more)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchPrior:
-    """Log of the prior density on a map, against its greatest value."""
+    """Log of the prior density on a map, relative to its maximum."""
 
     grid: SearchGrid
     log_map: Floats

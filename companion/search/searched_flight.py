@@ -118,7 +118,7 @@ def _in_metres(grid: SearchGrid, ring: list[Node]) -> tuple[Point, ...]:
 GAP_POD = 0.5
 """Cells of a gap: there it would rather have been missed than heard."""
 LEAST_GAP_SHARE = 0.02
-"""Least share of the probability; smaller gaps are not reported."""
+"""Minimum share of the probability; smaller gaps are not reported."""
 MOST_GAPS = 3
 COMPASS = ("E", "NE", "N", "NW", "W", "SW", "S", "SE")
 
@@ -136,7 +136,7 @@ class Gap:
 
 
 def gaps_of(state: SearchState) -> list[Gap]:
-    """Return the gaps that are worth a word, that with the greatest chance first."""
+    """Return the gaps worth reporting, the most probable one first."""
     grid = state.grid
     found = [
         Gap(sector_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)

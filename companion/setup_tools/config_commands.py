@@ -216,11 +216,11 @@ def _say(text: str) -> None:
 
 
 MOST_TILES = 20_000
-"""Most tiles of one fetch; more is a burden to a server that others pay for."""
+"""Maximum number of tiles of one fetch; more is a burden to a server that others pay for."""
 PAUSE_S = 0.05
 TIMEOUT_S = 20.0
 MOST_BYTES = 2_000_000
-"""Most bytes of one tile."""
+"""Maximum number of bytes of one tile."""
 METRES_PER_DEGREE = 111_319.5
 SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 """Magic numbers of PNG, JPEG and WebP."""

@@ -59,7 +59,7 @@ class ContractFigures:
     slowest_noise_s: float
     """Processor time of the slowest kind of noise."""
     most_kept_bytes: int
-    """Most memory between two calls, in the noise."""
+    """Maximum memory kept between two calls, in the noise."""
 
 
 def check_radio(

@@ -96,7 +96,7 @@ NO_TILE = bytes.fromhex(
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
-    """Return the least and the greatest zoom of `z/x/y.png` in a folder; None without tiles."""
+    """Return the smallest and the largest zoom of `z/x/y.png` in a folder; None without tiles."""
     numbered = (path for path in folder.iterdir() if path.name.isdecimal())
     tiles = (tile for path in numbered for tile in path.glob("*/*.png"))
     zooms = [

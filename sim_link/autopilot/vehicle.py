@@ -195,11 +195,11 @@ def _apply_to_estimator(
 
 TRACK_PERIOD_S = 0.5
 MAX_OCCURRENCES = 10_000
-"""Most occurrences that are kept: a report of a flight that flaps for days stays readable, and the
-memory bounded."""
+"""Maximum number of occurrences that are kept: a report of a flight that flaps for days stays
+readable, and the memory bounded."""
 MAX_TRACK_POINTS = 7_200
-"""Most points of the track, an hour at first; beyond it every other point is dropped, and half as
-many follow."""
+"""Maximum number of points of the track, an hour at first; beyond it every other point is dropped,
+and half as many follow."""
 
 
 class FlightRecorder:

@@ -156,7 +156,7 @@ class Emitter:
 
 
 LEAST_OBSTACLE_M2 = 1e-3
-"""Least area of an obstacle: a mast is one, too."""
+"""Minimum area of an obstacle: a mast is one, too."""
 
 Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_length=3)]
 

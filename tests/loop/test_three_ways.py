@@ -60,12 +60,12 @@ from tools.study.walk import WalkFilter, first_fix, next_position, updated
 
 STEPS = 150
 FEW_STEPS = 60
-"""Of flights of every day."""
+"""Number of steps in the everyday tests."""
 SEEDS = range(4)
 WIRE_M = 1e-4
 """Error that bytes may add to an estimate; nearly all is the first view from 0.1 m too low."""
 FLIGHT_M = 0.1
-"""Most that flying may add to where an estimate ends: the views are from other positions."""
+"""Largest change of a final estimate by flying: the views are from other positions."""
 HEIGHT_M = 20.0
 CASE = Case(steps=STEPS)
 KINDS: Mapping[PlannerName, CrossingKind] = {"latched": "latched_crossing", "fim": "fim"}

@@ -91,7 +91,7 @@ class CampaignTally:
     most: dict[str, float] = field(default_factory=dict)
     least: dict[str, float] = field(default_factory=dict)
     reached_in: dict[str, str] = field(default_factory=dict)
-    """The trial of each greatest and least figure; of equals the first by name."""
+    """Trial of each highest and lowest figure; the first by name if equal."""
 
     def add(self, outcome: TrialOutcome) -> None:
         """Add a trial."""

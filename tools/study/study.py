@@ -94,7 +94,7 @@ class FlightGrid(Params, frozen=True):
     """Configurations: the scenario's preset of `companion/field`, or the defaults."""
     planners: tuple[CrossingKind | PatternKind, ...] = ("latched_crossing",)
     ring_m: tuple[Positive, Positive] = (25.0, 90.0)
-    """Least and largest distance of the emitter from home."""
+    """Smallest and largest distance of the emitter from home."""
     height_spread_m: NonNegative = 2.0
     """Largest difference in height from the scenario."""
 

@@ -49,7 +49,7 @@ from companion.estimation.window.window_map import WindowMap
 from companion.kernel import Matrix, Vector
 
 MIN_DIRECTIONS = 40
-"""Fewest directions for a comparison of antennas, or for a test of the configured one.
+"""Minimum number of directions for a comparison of antennas, or for a test of the configured one.
 
 4 s of a radio of 10 Hz: of as many the mean error is known to a sixth. With 20, flights of a planar
 array end alike.

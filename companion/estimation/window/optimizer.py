@@ -140,8 +140,8 @@ def _evenly_in_time(sequence: Vector, count: int) -> NDArray[np.intp]:
 
 
 MAX_STARTS_KEPT = 4
-"""Most hypotheses that start a solution of the window, each a descent; with 2 or 8 no R95 of
-recorded walks changes by 1 %."""
+"""Maximum number of hypotheses that start a solution of the window, each a descent; with 2 or 8 no
+R95 of recorded walks changes by 1 %."""
 SHARED_PASSES = 8
 """Passes over the measurements, as measured, for the effect of shared errors."""
 

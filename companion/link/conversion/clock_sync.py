@@ -83,7 +83,7 @@ comes in it once in six times."""
 SLOW_WITHIN_S = 15.0
 """Time for which a late answer shows a slow link, if none comes promptly."""
 MAX_OPEN = 32
-"""Most unanswered requests: those of three seconds, also at the quick interval."""
+"""Maximum number of unanswered requests: those of three seconds, also at the quick interval."""
 REBOOT_BACKWARD_S = 1.0
 """Smallest step back of a clock that restarted."""
 NS_PER_S = 1e9

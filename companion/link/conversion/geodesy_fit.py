@@ -25,7 +25,7 @@ ALIKE_M = 3.0 * math.sqrt(2.0) * PAIR_SIGMA_M
 PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
 """Prior standard deviations of the fitted offset, metres, and scale."""
 FEWEST_PAIRS = 20
-"""Fewest pairs before a fit is used: ten seconds of them."""
+"""Minimum number of pairs before a fit is used: ten seconds of them."""
 LEAST_OFF_M = 0.1
 """Difference up to which positions agree."""
 RENEW_OFF_M = 0.05

@@ -88,7 +88,7 @@ BUCKET_S = 1.0
 BUCKETS = 8
 """Number of those intervals."""
 FEWEST_BUCKETS = 4
-"""Fewest intervals for a fit."""
+"""Minimum number of intervals for a fit."""
 STRAIGHT_S = 0.010
 """Largest distance of the minima of a steady clock from their line."""
 SIGNIFICANT = 4.0

@@ -64,7 +64,7 @@ THROTTLE_DEAD_ZONE = 0.06
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
 LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
-"""Least effective values of the speed parameters (WPNAV_SPEED and others) and of GUID_TIMEOUT."""
+"""Lowest effective values of the speed parameters (WPNAV_SPEED and others) and GUID_TIMEOUT."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
 CRITICAL, WARNING = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING

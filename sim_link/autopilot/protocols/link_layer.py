@@ -112,7 +112,7 @@ class WireVersion:
 
 MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
-"""Most channels of one component; a component that changes ports drops its oldest."""
+"""Maximum number of channels of one component; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
 """Step back of a time since boot from which its sender restarted; less is a frame that was
 overtaken."""

@@ -45,7 +45,7 @@ class ParamSpec:
     kind: ParamType
     default: float
     minimum: float | None = None
-    """Least value; None: that of its type."""
+    """Minimum value; None: that of its type."""
     maximum: float | None = None
     unit: str = ""
     is_read_only: bool = False
@@ -64,7 +64,7 @@ class ParamSpec:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the greatest value allowed."""
+        """The smallest and the largest value allowed."""
         least, greatest = self.kind.bounds
         return (
             least if self.minimum is None else self.minimum,
@@ -221,8 +221,8 @@ def _shortest(value: float) -> str:
 NO_INDEX = 0xFFFF
 HASH_CHECK = "_HASH_CHECK"
 MAX_LISTS = 16
-"""Most lists at a time; a client that is not served requests again, as clients do when a list does
-not come."""
+"""Maximum number of lists at a time; a client that is not served requests again, as clients do when
+a list does not come."""
 MAX_BURST = 64
 """Largest number of values per call; a slow caller catches up gradually."""
 

@@ -277,7 +277,7 @@ class _Freeze(ContentEffect[faults.RangingFreeze]):
 
 class _Outliers(ContentEffect[faults.RangingOutliers]):
     SHORTEST_M = 0.1
-    """Least range after a fault has shortened it, metres."""
+    """Shortest range after a fault has shortened it, metres."""
     _left = 0
     """Answers of the present burst that are still to come."""
 

@@ -305,7 +305,7 @@ EPOCH_S = 946_684_800.0
 
 
 MAX_SLUG = 80
-"""Most characters of a slug; a file name has two slugs and may have 255 in all."""
+"""Maximum number of characters of a slug; a file name has two slugs and may have 255 in all."""
 
 
 def slug(name: str) -> str:

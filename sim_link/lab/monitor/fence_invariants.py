@@ -149,7 +149,7 @@ class InsideFence(SetpointsInside):
         self._truth = scene
         self._jumps = OwnJumps(scene)
         self.closest_m = math.inf
-        """Least true distance to a border while the companion answered for it."""
+        """Smallest true distance to a border while the companion answered for it."""
         self.breaches = 0
         """Number of times that the true vehicle left the fence."""
         self._is_out = False
