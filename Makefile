@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make demo    fly the simulated search and watch it (DEMO_ARGS='$(DEMO_ARGS)')"
 	@echo "make missions  fly the library of missions in lockstep (MISSION_ARGS='$(MISSION_ARGS)')"
-	@echo "make test    run the tests of every day, some minutes; one: PYTEST_ARGS='-k crossing'"
+	@echo "make test    run the everyday tests, a few minutes; one: PYTEST_ARGS='-k crossing'"
 	@echo "make test-all  run all tests, the slow ones too; campaigns are in CONTRIBUTING.md"
 	@echo "make faults  fly hundreds of missions with faults, every invariant watched (FAULTS_ARGS)"
 	@echo "make mutants  change guard and codec in a thousand places, and list the changes that no test notices"

@@ -110,7 +110,7 @@ class FliesAway(Planted):
 
 
 class Jumps(Planted):
-    """Now and then a setpoint lies some metres aside."""
+    """Now and then a setpoint lies a few metres aside."""
 
     invariant = "I2"
 

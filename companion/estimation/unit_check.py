@@ -78,7 +78,7 @@ field and 11 m on recorded walks, so that half or twice as much decides alike th
 DECISION_LOG_ODDS = math.log(1000.0)
 """Log odds at which a hypothesis about the radio is accepted: a unit, or an antenna.
 
-A wrong decision costs the whole search, a late one some seconds: on 41 recorded walks ranges in
+A wrong decision costs the whole search, a late one a few seconds: on 41 recorded walks ranges in
 metres reach 4.7, and log(1e5) recognises another unit 0.9 s later, at 4.7 s.
 """
 

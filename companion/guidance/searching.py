@@ -80,7 +80,7 @@ class Searching:
         self._track: list[tuple[float, float, float, float]] = []
         self._stored_grid: StoredGrid | None = None
         self.state: SearchState | None = None
-        """State of the search, some seconds old at most, by control ticks alone, so that a replay
+        """State of the search, a few seconds old at most, by control ticks alone, so that a replay
         has the same; None if there is no grid."""
         self._renewed_s = -math.inf
         self._is_final = False

@@ -60,7 +60,7 @@ REST_S, LAST_REST_S = 10.0, 60.0
 """First and longest pause after a failed download."""
 READ_AGAIN_S = 10.0
 """Interval of repeated readings: at 5 m/s, the usual speed limit, a vehicle flies 50 m in it; a
-square takes some 5 frames."""
+square takes about 5 frames."""
 MOST_SHARE = 0.2
 """Largest share of time that readings of a long fence may take."""
 PARAMETER_PREFIXES = ("FENCE_", "GF_")

@@ -15,7 +15,7 @@ that leave no charge for the way home do not count.
 
 A decision is made while the present leg is flown, for its end, a few forecasts of a leg at each
 request, each O(cells). With an even POA the pattern begins at once; otherwise the vehicle holds
-until the first decision is made, some seconds.
+until the first decision is made, a few seconds.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from companion.search.search_grid import Bools, Floats
 from companion.search.searched_flight import pieces_of, sector_name
 
 FORECASTS_AT_ONCE = 6
-"""Forecasts of a leg in one request: some 2 ms in plain Python, of a control tick's 50 ms."""
+"""Forecasts of a leg in one request: about 2 ms in plain Python, of a control tick's 50 ms."""
 MOST_LEGS = 12
 """Legs of a candidate that are forecast; its best beginning is nearly always shorter."""
 LEAVE_RATIO = 1.2

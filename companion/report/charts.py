@@ -387,7 +387,7 @@ def histogram(
 
 
 MOST_TILES = 24
-"""Maximum number of tiles of a page; at some 20 kB each, as much as the rest of a long report."""
+"""Maximum number of tiles of a page; at about 20 kB each, as much as the rest of a long report."""
 KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
 """Magic numbers of image formats; file names are ignored."""
 MOST_BYTES = 2_000_000

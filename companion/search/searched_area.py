@@ -64,7 +64,7 @@ LISTENED_AGAIN_S = 5.0
 
 ALL_CELLS = slice(None)
 BLOCK = 5_000
-"""Cells that are renewed at once, 2 km^2 in cells of 20 m: some 3 ms in plain Python."""
+"""Cells that are renewed at once, 2 km^2 in cells of 20 m: about 3 ms in plain Python."""
 GROUPS = 5
 """Groups of the offsets of a cell: a quadrature of five points."""
 

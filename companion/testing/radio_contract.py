@@ -3,7 +3,7 @@
     check_radio(KIND, Path("stream.bin").read_bytes(), Path("golden.jsonl"))
 
 The stream is an example of the radio's output: whole frames or lines, at best one of each kind,
-some hundred bytes, that mean the same when they are sent again. The golden file has a reading a
+about a hundred bytes, that mean the same when they are sent again. The golden file has a reading a
 line, as `golden_lines` writes it. A broken rule raises `ContractError`, an AssertionError.
 """
 

@@ -153,7 +153,7 @@ class WebProcess:
         self.is_viewed = False
         """True once a browser has opened the page."""
         self.viewers = 0
-        """Browsers that have the page open now; one that is closed counts for some seconds more."""
+        """Browsers with the page open now; a closed one counts for a few seconds more."""
         self._start()
 
     def _start(self) -> None:
@@ -394,7 +394,7 @@ class WebView(Collector):
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
         """Return located emitters and the origin, from which the page makes hand-offs on request.
 
-        Their geodetic positions would cost the flight some ten milliseconds each.
+        Their geodetic positions would cost the flight about ten milliseconds each.
         """
         origin = endpoint.session.vehicle.origin
         if origin is None:

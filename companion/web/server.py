@@ -159,7 +159,7 @@ MOST_DATA_BYTES = 512 * 2**20
 OOM_SCORE = b"500"
 """If memory runs out, the kernel ends the page before the flight, which restarts it."""
 MAX_LINE = 4_000_000
-"""Longest line; a picture has some 20 kB."""
+"""Longest line; a picture has about 20 kB."""
 REFUSED = "This page needs its token: open the address that the companion printed."
 Scope = dict[str, Any]
 Receive = Callable[[], Awaitable[Any]]
@@ -168,7 +168,7 @@ Send = Callable[[Any], Awaitable[None]]
 
 PAGE = "/"
 MOST_PAGES = 24
-"""Open browsers; each costs the page's process some 0.6 MB."""
+"""Open browsers; each costs the page's process about 0.6 MB."""
 MOST_LOADING = 8
 """Pages without a connected browser yet: the oldest is dropped."""
 FULL = "Too many browsers have this page open: close one of them."

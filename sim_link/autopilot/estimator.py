@@ -147,7 +147,7 @@ class EstimatedMotion:
 
     @property
     def velocity_enu_mps(self) -> PositionEnu:
-        """True velocity: GNSS measures it to some cm/s."""
+        """True velocity: GNSS measures it to a few cm/s."""
         return self._body.velocity_enu_mps
 
     @property

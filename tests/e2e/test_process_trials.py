@@ -26,7 +26,7 @@ def test_a_signalled_companion_leaves_nothing_amiss(
 
 
 LOADED_S = 24.0
-"""In control from some 14 s on, on a machine that other tests keep busy as well."""
+"""In control from about 14 s on, on a machine that other tests keep busy as well."""
 
 
 @pytest.mark.slow

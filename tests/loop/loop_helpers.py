@@ -199,8 +199,8 @@ def _constants() -> dict[int, Any]:
 def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
     """Fly a beginning once for all tests that share its arguments; each continues a copy.
 
-    A copy takes some 20 ms, a take-off half a second. A fit in progress is a generator, which
-    cannot be copied: the beginning goes on until it is over, some ten milliseconds. A beginning
+    A copy takes about 20 ms, a take-off half a second. A fit in progress is a generator, which
+    cannot be copied: the beginning goes on until it is over, about ten milliseconds. A beginning
     that keeps one nevertheless, as of a companion that was killed, is flown every time.
     """
     flown: OrderedDict[str, Flown] = OrderedDict()

@@ -1,4 +1,4 @@
-"""Random frames against the simulator: some thousand, and in the campaign a million."""
+"""Random frames against the simulator: a few thousand, and in the campaign a million."""
 
 from __future__ import annotations
 

@@ -280,7 +280,7 @@ class GlobalSetpoint:
 
 
 def moved_e7(latitude_e7: int, longitude_e7: int, north_m: float, east_m: float) -> tuple[int, int]:
-    """Return a position some metres away; flat earth."""
+    """Return a position a few metres away; flat earth."""
     east_scale = METRES_PER_E7 * math.cos(math.radians(latitude_e7 / 1e7))
     return (latitude_e7 + round(north_m / METRES_PER_E7), longitude_e7 + round(east_m / east_scale))
 

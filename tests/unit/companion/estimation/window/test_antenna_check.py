@@ -38,7 +38,7 @@ def legs(far_m: float = 45.0, near_m: float = -45.0, count: int = 120) -> Matrix
 def printed(kind: AntennaKind, positions: Matrix, rng: np.random.Generator) -> Matrix:
     """Rows of a planar array, (n, 16), whose angles an antenna of that kind has printed.
 
-    The nose points at the emitter, up to 40 degrees off, and the vehicle leans by some degrees.
+    The nose points at the emitter, up to 40 degrees off, and the vehicle leans by a few degrees.
     """
     rows = np.full((len(positions), ARRAY_COLUMNS), np.nan)
     for row, position in zip(rows, positions, strict=True):

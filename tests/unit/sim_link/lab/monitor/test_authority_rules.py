@@ -29,7 +29,7 @@ AUTO = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=1e6))
 
 
 def taken_over(*, is_planted: bool = False) -> Monitored:
-    """A flight that the operator took over some seconds ago."""
+    """A flight that the operator took over a few seconds ago."""
     around = monitored_flight(
         AUTO, COPTER, 1, make_companion=maker(KeepsFlying) if is_planted else None
     )

@@ -28,7 +28,7 @@ def flown(
     defect: type[Planted] | None = None,
     seed: int = 3,
 ) -> Monitored:
-    """A flight in which something else sends under the ids of our vehicle for some seconds."""
+    """A flight in which something else sends under the ids of our vehicle for a few seconds."""
     scenario = Scenario(autopilot=AutopilotParams(flavour=flavour))
     make = None if defect is None else maker(defect)
     around = monitored_flight(config, scenario, seed, is_signed=is_signed, make_companion=make)
