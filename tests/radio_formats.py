@@ -27,22 +27,22 @@ class Format:
     """Fields and resolution of a measurement in the bytes of a radio."""
 
     name: str
-    """Of the emulator."""
+    """Name of the emulator."""
     radio: str
-    """Of the decoder."""
+    """Name of the decoder."""
     range_m: float | None = None
-    """Half a step; None: no ranges."""
+    """Half a step of the range; None if it has no ranges."""
     azimuth_deg: float | None = None
     elevation_deg: float | None = None
     time_s: float | None = None
-    """None if it has no clock."""
+    """Half a step of the time; None if it has no clock."""
     sigma_m: float | None = None
-    """Of the sigma, where the radio says one."""
+    """Half a step of the sigma, where the radio reports one."""
     has_quality: bool = False
     power_db: float | None = None
     """Half a step of the received power."""
     options: Mapping[str, object] = field(default_factory=dict)
-    """Of the decoder."""
+    """Options of the decoder."""
 
     @property
     def kind(self) -> type[Emulator]:

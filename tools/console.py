@@ -83,7 +83,7 @@ def shown(total: float, stream: TextIO) -> Iterator[OnDone]:
     """Show progress on a stream while work is done.
 
     Args:
-        total: Of the work, in any unit that is proportional to time.
+        total: Amount of work, in any unit that is proportional to time.
     """
     if not stream.isatty():
         yield progress_lines(total, stream, monotonic)

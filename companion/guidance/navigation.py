@@ -1,4 +1,4 @@
-"""From the planner's answer to a waypoint, and from there to the next guarded setpoint.
+"""Navigation: the planner's answer becomes a waypoint, and this the next guarded setpoint.
 
 The flight plan keeps the planner's request and answer, and the texts about it.
 """

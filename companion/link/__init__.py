@@ -1,1 +1,1 @@
-"""Between messages and events: the companion as a MAVLink endpoint."""
+"""The companion as a MAVLink endpoint, which converts between messages and events."""

@@ -64,7 +64,7 @@ NUMBERS: Mapping[str, Unit] = {
 WORDS = ("emitter", "line_of_sight")
 """Names of words."""
 HEX = "_hex"
-"""Behind a name whose field is a whole number in hexadecimal, without a sign."""
+"""Suffix of a name whose field is an unsigned hexadecimal integer."""
 HEX_NAMES = frozenset(
     name + HEX for name, unit in NUMBERS.items() if unit.attribute not in ("quality", "power_dbm")
 )

@@ -174,7 +174,7 @@ class Aircraft:
     Args:
         noise_rng: Generator of the reported position's noise, of drift and gusts.
         first_mission_item: Index of the first mission item that is flown.
-        body: What restarts where it is; None: a new one, at the scenario's start.
+        body: Body that is kept over a restart; None: a new one, at the scenario's start.
     """
 
     landed_until_s = -math.inf

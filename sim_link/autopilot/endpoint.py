@@ -70,7 +70,7 @@ class SimEndpoint:
     """A PX4-like or ArduPilot-like vehicle with a radio payload.
 
     Args:
-        parameters_name: What to call them in errors, usually a file.
+        parameters_name: Name of the stored parameters in errors, usually a file.
 
     Raises:
         ConfigError: The scenario or the stored parameters name a parameter that does not exist, or

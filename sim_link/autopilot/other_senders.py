@@ -236,7 +236,7 @@ class RadioPayload:
         """Return the messages due at `now_s` seconds since boot, from the vehicle's true position.
 
         Args:
-            stamp_s: What the autopilot's clock shows, by which it stamps.
+            stamp_s: Reading of the autopilot's clock, used for its stamps.
         """
         messages: list[Message] = []
         if now_s + DUE_TOLERANCE_S >= self._heartbeat_due_s:

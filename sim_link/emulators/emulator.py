@@ -94,7 +94,7 @@ class Emulator(ABC):
 
     Args:
         clock_s: Reading of the radio's own clock at the vehicle's second 0.
-        rng: For values that the radio invents; never for a measurement.
+        rng: Generator of values that the radio invents; never of a measurement.
     """
 
     name: ClassVar[str]

@@ -147,7 +147,7 @@ class FieldRadio(RadioChannel):
     """Measures emitters as a radio on a moving, leaning vehicle does.
 
     Args:
-        rng: As of `RadioChannel`; what is drawn beyond that comes from a child of it.
+        rng: Generator as in `RadioChannel`; further draws come from a child of it.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ OPTIONS: dict[str, Params] = {
     "oai": NrOptions(numerology=1),
     "srsran": SrsRanOptions(loop_is_off=True, numerology=1),
 }
-"""Of radios that are nothing without."""
+"""Options of the radios that need some."""
 CHECKSUMMED = {"nlink"}
 DISCERNS_REPEATS = {"kraken", "kraken_xml", "kraken_ws", "pans_tlv"}
 """Polled radios, which repeat a measurement until there is a new one."""

@@ -38,7 +38,7 @@ ENDLESS = CompanionConfig(mission=SessionParams(engage="auto", stop_confirm_s=36
 CANONICAL = Scenario()
 SPEED = 4.0
 SLOWLY = 0.2
-"""For what must be seen before the flight goes on."""
+"""Speed at which a view can be checked before the flight goes on."""
 STEP_S = 0.05
 FLYING = re.compile("searching|confirming")
 """The phase on the page while the companion flies the vehicle."""

@@ -22,7 +22,7 @@ class MavProxy:
 
     Args:
         directory: Its home, and where it runs.
-        arguments: Of its command, beside those for a machine without a screen.
+        arguments: Command-line arguments, besides those for a machine without a screen.
     """
 
     def __init__(self, directory: Path, *arguments: str) -> None:

@@ -18,7 +18,7 @@ from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk, Endpoint
 
 TIMEOUT_S = 60.0
-"""For what must happen, on a slow machine where others calculate, too."""
+"""Time limit of an event that must come, on a slow machine that is shared."""
 
 
 class EchoEndpoint:

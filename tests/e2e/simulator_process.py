@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.ports import free_port
 
 PATIENCE_S = 120.0
-"""For what must happen, on a slow machine where others calculate, too."""
+"""Time limit of an event that must come, on a slow machine that is shared."""
 PATIENT = {
     "px4": "offboard_loss_timeout_s: %g, parameters: {COM_DISARM_PRFLT: 60}",
     "ardupilot": "flavour: ardupilot, offboard_loss_timeout_s: %g, parameters: {DISARM_DELAY: 120, "
@@ -24,7 +24,7 @@ second of silence is over within a moment."""
 
 
 def patient_scenario(flavour: str, directory: Path, bears_s: float = 60.0) -> Path:
-    """A file with the canonical scenario; its PX4 bears so many of its seconds of silence."""
+    """A file with the canonical scenario, whose PX4 tolerates `bears_s` without setpoints."""
     path = directory / f"patient-{flavour}.yaml"
     path.write_text(f"autopilot: {{{PATIENT[flavour] % bears_s}}}\n", encoding="utf-8")
     return path

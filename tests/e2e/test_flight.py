@@ -27,7 +27,7 @@ SPEED = "1.5"
 FLIGHT_S = 300.0
 """Real time for a whole flight."""
 STOP_S = 20.0
-"""For what takes two seconds on a machine that has the time; nothing waits as long for anything."""
+"""Time limit of a stop, which takes two seconds on an idle machine."""
 
 
 class Commands:

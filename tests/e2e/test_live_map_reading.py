@@ -23,7 +23,7 @@ from tests.e2e.live_map_rig import (
 pytestmark = [needs_chromium, pytest.mark.slow]
 
 RULES = {"runOnly": ["wcag2a", "wcag2aa"]}
-"""Of axe-core: WCAG 2, levels A and AA; contrast of text is AA's."""
+"""Rules of axe-core: WCAG 2, levels A and AA; contrast of text is AA's."""
 
 DIALOG_MS = 1000.0
 """A dialog has faded in by then."""
@@ -41,7 +41,7 @@ CONTRASTS = """charts => charts.flatMap(chart => {
     return (Math.max(page, ink) + 0.05) / (Math.min(page, ink) + 0.05);
   });
 })"""
-"""Of every text in a drawing, which axe-core does not look at; formulas of WCAG 2.2."""
+"""Contrasts of every text in a drawing, which axe-core does not look at; formulas of WCAG 2.2."""
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ class Router:
         self._front = self._socket()
         self.port: int = self._front.getsockname()[1]
         self.ways: dict[Address, socket.socket] = {}
-        """By the sender's address."""
+        """Links by the sender's address."""
         self._left: list[socket.socket] = []
         self._silent: dict[Address, float] = {}
         self._is_closed = False

@@ -32,10 +32,10 @@ SPEED = 1.0
 PX4_OFFBOARD = 6
 GROUNDED = (Phase.WAITING, Phase.STANDBY, Phase.LAUNCHING)
 STOP_S = 20.0
-"""For what takes two seconds on a machine that has the time; nothing waits as long for anything."""
+"""Time limit of a stop, which takes two seconds on an idle machine."""
 
 RESTART_S = 2.0
-"""Of processor time, from the start to the first heartbeat: as long, the vehicle is alone."""
+"""Processor time from the start to the first heartbeat: so long the vehicle is alone."""
 
 
 class Companion:

@@ -43,7 +43,7 @@ FLIGHT_S = 480.0 / SPEED
 FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which each format's error and R95 are appended."""
 POLL_S = 0.03
-"""As often as at that speed there is something new."""
+"""Period of polls: that of new readings at this speed."""
 ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
 BY_PAGE = ("kraken", "kraken_suite", "kraken_xml")
 BY_SOCKET = ("kraken_ws",)

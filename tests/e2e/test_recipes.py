@@ -37,7 +37,7 @@ COPIED = (
     "pyproject.toml",
 )
 LIMIT_S = 1800.0
-"""Of one command on a busy machine."""
+"""Time limit of one command on a busy machine."""
 
 
 def section_of(heading: str) -> str:

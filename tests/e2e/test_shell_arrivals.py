@@ -17,7 +17,7 @@ from tests.e2e.shell_helpers import EchoEndpoint
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux stamps datagrams")
 PERIOD_S = 0.5
-"""Of the endpoint's timer."""
+"""Period of the endpoint's timer."""
 
 
 class Listener(EchoEndpoint):

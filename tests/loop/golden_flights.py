@@ -94,7 +94,7 @@ class GoldenCourse(msgspec.Struct, frozen=True):
     samples: tuple[tuple[float, float, float, float], ...]
     """Time, east, north and R95 of every tenth estimate."""
     arithmetic: str = ""
-    """Of the machine that it was run on."""
+    """Arithmetic of the machine that it was recorded on."""
 
     @property
     def is_of_this_arithmetic(self) -> bool:
@@ -189,8 +189,8 @@ def fly(plan: Plan, directory: Path) -> Golden:
     """Fly a golden flight and keep the log of its last process.
 
     Args:
-        plan: How.
-        directory: For the logs of its processes.
+        plan: Plan of the flight.
+        directory: Folder for the logs of its processes.
     """
     journals: list[FlightJournal] = []
 

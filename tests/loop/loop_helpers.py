@@ -56,9 +56,9 @@ __all__ = [
 
 AUTO = CompanionConfig(mission=SessionParams(engage="auto"))
 SELDOM = PayloadParams(rate_hz=4.0)
-"""For flights whose subject is not the estimate: half of their time is its."""
+"""Payload at a low rate, for flights that do not test the estimate, which is half of the work."""
 BOOT_S = 3.0
-"""After this long the simulated autopilot can be armed."""
+"""Time after which the simulated autopilot can be armed."""
 Radio = Callable[[SimEndpoint, float], bytes | None]
 """Function that returns a radio's bytes at a time from the simulated truth; it has its own link."""
 
@@ -88,7 +88,7 @@ class Sent:
 
     time_s: float
     position_enu_m: PositionEnu
-    """About the autopilot's local origin."""
+    """Position relative to the autopilot's local origin."""
     vehicle_enu_m: PositionEnu
     """True position of the vehicle."""
 

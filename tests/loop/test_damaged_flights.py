@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 FLOWN_S = 25.0
 LOGS = (TLOG, INPUTS, EVENTS)
 SIZES = (1, 40, 512, 4096)
-"""Of a block: a flipped byte, a record, a sector, a page."""
+"""Sizes of a damaged block: a flipped byte, a record, a sector, a page."""
 
 
 @pytest.fixture(scope="module")

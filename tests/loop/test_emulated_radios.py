@@ -42,7 +42,7 @@ FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which errors, R95s and times are appended, the radio's and RADIO_RANGING's."""
 LIMIT_S = 600.0
 SHARE = 0.025
-"""Of the R95, by which errors and R95s may differ: what rounding within a step comes to."""
+"""Share of R95 by which errors and R95s may differ, from rounding within a step."""
 COARSE = {
     "srsran_4g": of_a_cell(LTE_STEP_M),
     "oai": of_a_cell(NR_STEP_M, is_nearest=True),

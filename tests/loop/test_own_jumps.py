@@ -30,7 +30,7 @@ OUT_OF_BOUNDS: list[PositionEnu] = [
     (0.0, 0.0, 20.0),
     (0.0, 0.0, -30.0),
 ]
-"""From anywhere in the small fence, at the search altitude; 20 m is as far as the ground."""
+"""Jumps out of the small fence from anywhere at search altitude; 20 m reaches the ground."""
 BRAKING_M = 4.0
 """It flew at no more than 5 m/s."""
 SQUARE = ((-25.0, -25.0), (25.0, -25.0), (25.0, 25.0), (-25.0, 25.0))

@@ -25,7 +25,7 @@ from tests.loop.loop_helpers import AUTO, SELDOM, Loop
 
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 LASTS_S, HALF_S = 90.0, 0.25
-"""Of a log; half a period of what flaps at 2 Hz."""
+"""Duration of a log; half a period of a state that flaps at 2 Hz."""
 BYTES_A_MINUTE = 1000
 UNIX_S = 1_700_000_000
 PEER = ("127.0.0.1", 14580)

@@ -32,7 +32,7 @@ class Radio:
 
     Args:
         form: The message it speaks.
-        clock_s: What its clock shows at the start of the flight.
+        clock_s: Reading of its clock at the start of the flight.
     """
 
     def __init__(self, form: str, clock_s: float = 0.0) -> None:

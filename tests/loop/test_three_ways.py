@@ -161,7 +161,7 @@ class Flight:
     means: list[list[float]]
     asked: list[tuple[PlanRequest, Plan[Any]]]
     estimate_enu_m: Point
-    """At the end."""
+    """Estimate at the end."""
 
 
 @lru_cache

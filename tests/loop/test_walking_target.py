@@ -43,8 +43,8 @@ class WalkingRadio:
     """The canonical channel to an emitter that walks.
 
     Args:
-        walk: Where it is at which time.
-        seed: Of the channel.
+        walk: Position of the emitter over time.
+        seed: Seed of the channel.
     """
 
     def __init__(self, walk: Walk, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""Whatever comes, in whatever order and however late: the covariance stays one, nothing raises."""
+"""Any measurements in any order and with any delay leave a valid covariance, and nothing raises."""
 
 from __future__ import annotations
 

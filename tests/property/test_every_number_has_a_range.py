@@ -1,4 +1,4 @@
-"""Whatever a radio reports or a file configures: refused in words, or computed with to the end."""
+"""Any number that a radio reports or a file configures is refused in words, or computed with."""
 
 from __future__ import annotations
 

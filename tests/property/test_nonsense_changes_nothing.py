@@ -1,4 +1,4 @@
-"""Whatever a radio claims to have measured: what is refused leaves the tracker bit by bit."""
+"""A measurement that is refused, whatever it claims, leaves the tracker the same bit for bit."""
 
 from __future__ import annotations
 

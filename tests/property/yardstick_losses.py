@@ -61,7 +61,7 @@ class RobustLoss:
     is_convex: bool = True
     """False for those that can have several minima."""
     knots: tuple[float, ...] = ()
-    """Where the formula changes; the loss is continuously differentiable there too."""
+    """Residuals at which the formula changes; the loss is continuously differentiable there too."""
     centre: float = 0.0
     """The residual that costs least."""
 

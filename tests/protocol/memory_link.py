@@ -23,7 +23,7 @@ class MemoryHub:
 
         Args:
             link_index: The endpoint's link that it is on.
-            is_datagram: Whether its pieces keep their limits; otherwise it is a byte stream.
+            is_datagram: True if pieces keep their boundaries; otherwise it is a byte stream.
         """
         address = ("127.0.0.1", FIRST_PORT + self._count)
         self._count += 1
@@ -63,7 +63,7 @@ class MemoryLink:
 
     Args:
         link_index: The endpoint's link that it is on.
-        is_datagram: Whether its pieces keep their limits.
+        is_datagram: True if pieces keep their boundaries.
     """
 
     def __init__(

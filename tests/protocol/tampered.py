@@ -28,8 +28,8 @@ class Tampered:
 
     Args:
         endpoint: The peer itself.
-        inbound: What becomes of a frame before it arrives.
-        outbound: What becomes of a frame that it sends.
+        inbound: Edit of each frame before it arrives.
+        outbound: Edit of each frame that it sends.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Whose system id a companion takes (MAVLink guide, MAVLink IDs)."""
+"""A companion takes the system id of its vehicle (MAVLink guide, MAVLink IDs)."""
 
 from __future__ import annotations
 

@@ -174,8 +174,8 @@ class ProcessFlight:
     """A simulator and companions in a folder; both end with this process.
 
     Args:
-        values: What the companion's configuration and the scenario have beside their defaults.
-        options: For the simulator, after those that every flight has.
+        values: Keys of the configuration and the scenario that differ from their defaults.
+        options: Options of the simulator, after those that every flight has.
     """
 
     def __init__(

@@ -3,9 +3,9 @@
     .venv/bin/python tools/release/read_aloud.py [--seed 7]    # 60 docstrings and 40 operator texts
     .venv/bin/python tools/release/read_aloud.py --check       # exit code 1 if a limit is exceeded
 
-The check counts docstrings, those of attributes and constants included, that begin with a wh-word,
-and lines with words that this project keeps out of code and pages. That nothing public is without a
-docstring is a rule of ruff.
+The check counts docstrings that begin with a wh-word, or describe an argument with one, those of
+attributes and tests included, and lines with words that this project keeps out of code and pages.
+That nothing public is without a docstring is a rule of ruff.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from companion.entry import ignore_broken_pipe
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("companion", "sim_link", "tools")
 TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
-WH_CLAUSE = re.compile(r"(What|Whether|Who|Whom|Whose|How|Where|When|Which|Why)(ever)?\b")
+WH_CLAUSE = re.compile(r"(^|\n +\w+: )(Wh(at|ether|om?|ose|ere|en|ich|y)|How)(ever)?\b")
 WORDS = re.compile(r"\b(told|tells?|anew|whoever|nobody|somebody|somewhen)\b", re.IGNORECASE)
 LIMITS = {"wh-clauses": 0, "words": 20}
 SUFFIXES = {".py", ".yaml", ".md", ".toml", ".html", ".js"}
@@ -47,9 +47,9 @@ def files_of(*paths: str) -> list[Path]:
     return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
 
 
-def docstrings() -> Iterator[Docstring]:
-    """Yield the docstrings of the product and its tools: every text that is a statement."""
-    for path in files_of(*PACKAGES):
+def docstrings(*packages: str) -> Iterator[Docstring]:
+    """Yield the docstrings in these folders: every text that is a statement."""
+    for path in files_of(*packages):
         if path.suffix == ".py":
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 body = getattr(node, "body", None)
@@ -85,8 +85,8 @@ def findings() -> dict[str, list[str]]:
     return {
         "wh-clauses": [
             f"{each.location}: {each.text.splitlines()[0]}"
-            for each in docstrings()
-            if WH_CLAUSE.match(each.text)
+            for each in docstrings(*PACKAGES, "tests")
+            if WH_CLAUSE.search(each.text)
         ],
         "words": [
             f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
@@ -110,7 +110,7 @@ def main() -> int:
             print(f"{kind}: {len(lines)}, at most {LIMITS[kind]}", *lines, sep="\n  ")
         return int(any(len(lines) > LIMITS[kind] for kind, lines in found.items()))
     draw = random.Random(options.seed)
-    for each in draw.sample(list(docstrings()), 60):
+    for each in draw.sample(list(docstrings(*PACKAGES)), 60):
         print(f"{each.location} {each.name}\n    " + each.text.replace("\n", "\n    "))
     print(*draw.sample(operator_texts(), 40), sep="\n")
     return 0

@@ -63,7 +63,7 @@ def flights_of(
     """Return the flights of a grid, or of the named part of it, the seeds of all cells alternating.
 
     Args:
-        folder: With `scenarios/field` and `companion/field`.
+        folder: Folder with `scenarios/field` and `companion/field`.
         only: Radios, configurations and planners; if none of a kind is named, all of it.
     """
     names: tuple[tuple[str, ...], ...] = (tuple(grid.cut_s), grid.configs, grid.planners)

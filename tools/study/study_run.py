@@ -73,7 +73,7 @@ def carried_out(
     """Do what is not kept yet in its order, and keep it; stderr shows the progress.
 
     Args:
-        name: Of the tasks, in the plural.
+        name: Name of the tasks, in the plural.
     """
     kept = store.found(work)
     left = [(key, task) for key, task in work.items() if key not in kept]

@@ -123,7 +123,7 @@ class TargetFilter(Protocol):
         Args:
             state: At the measurement's time, or later: then the measurement is late, and the random
                 walk since then is added to its noise.
-            measurement: With range, bearing in ENU, elevation, power, or several of them.
+            measurement: Range, bearing in ENU, elevation, power, or several of them.
             inflation: Factors on the variance of each modality.
         """
 

@@ -282,7 +282,7 @@ class SenderClock:
         """Return the local time of a remote stamp that arrived at `now_s`, both in seconds.
 
         Args:
-            late_confirm_s: How long stamps must be late before they are those of a new clock.
+            late_confirm_s: Time for which stamps must be late before they count as a new clock.
         """
         reading = self.timebase.read(remote_s, now_s)
         if reading.step is not ClockStep.NONE:

@@ -333,8 +333,8 @@ class Clocks:
 
     Args:
         clock: The vehicle's clock at a time since boot.
-        names_targets: Whether a TIMESYNC answer names the asker, as the guide wants; ArduPilot
-            sends the older form without targets.
+        names_targets: True if a TIMESYNC answer names the requester, as the guide wants;
+            ArduPilot sends the older form without targets.
         dated_back_baud: Baud rate by which answers are dated back; None if they are not.
 
     Source: ArduPilot 4.5, `GCS_MAVLINK::timesync_receive_timestamp_ns` and AP_HAL_SITL

@@ -88,7 +88,7 @@ def test_reflections_that_do_not_last_are_noise_of_their_variance() -> None:
 
 
 def test_an_own_error_that_has_no_memory_moves_every_view_and_the_frame_of_the_last() -> None:
-    """What a view errs by is the error then less that of now, which all of them share."""
+    """The error of a view is the error then less the current one, which all of them share."""
     each_m2 = 0.5**2 + (1.5 * FLAT) ** 2
     expected = (2.0 * each_m2 / FLAT**2 / VIEWS + 1.5**2) * np.eye(2)
     np.testing.assert_allclose(bound("range", own_sigma_m=1.5), expected, rtol=1e-5, atol=1e-9)

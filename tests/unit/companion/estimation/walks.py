@@ -39,15 +39,15 @@ def walk(
     """Rows (n, 10) of a walk at 10 m height, with well-specified noise times `noise`.
 
     Args:
-        rng: Of the noise.
-        count: How many measurements.
-        ranges: Whether ranges are measured.
-        bearings: Whether bearings are.
-        elevations: Whether elevations are.
-        straight: Whether the walk is along a line.
-        noise: 0: none.
-        height_m: Of the target.
-        scale: Of the ranges.
+        rng: Generator of the noise.
+        count: Number of measurements, n.
+        ranges: True if ranges are measured.
+        bearings: True if bearings are measured.
+        elevations: True if elevations are measured.
+        straight: True if the walk follows a line.
+        noise: Factor on the standard deviations; 0: no noise.
+        height_m: Height of the target above the ground.
+        scale: Scale error of the ranges.
         rho: Lag-1 correlation of the noise.
     """
     s = np.linspace(0.0, 1.0, count)

@@ -125,7 +125,7 @@ NEEDLE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (5.0, 0.0005), (0.0, 10.0)]
     [BOW_THROUGH_A_CORNER, PINCH, SPIKE, BACK_AND_FORTH, RING_TWICE, CLOSED_RING_TWICE, NEEDLE],
 )
 def test_a_border_that_touches_itself_is_not_simple(polygon: list[Point]) -> None:
-    """Whichever corner is given first, in either direction."""
+    """Any corner may be given first, in either direction."""
     for first in range(len(polygon)):
         turned = polygon[first:] + polygon[:first]
         assert not is_simple(turned)

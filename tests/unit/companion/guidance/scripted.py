@@ -62,12 +62,12 @@ class ScriptedFlight:
     """A vehicle at (0, 0, 20) that shows what the test sets.
 
     Args:
-        params: How the mission is flown.
-        autopilot: Whose heartbeat it sends.
-        limits: What no setpoint may exceed.
-        planner: Which planner flies.
-        emitters: Who is looked for, one after the other.
-        vehicle: Which vehicle is flown, and by which setpoints.
+        params: Parameters of the mission.
+        autopilot: Autopilot named in its heartbeat.
+        limits: Limits of every setpoint.
+        planner: Planner during contact.
+        emitters: Emitters that are searched for, one after the other.
+        vehicle: Vehicle that is flown, and form of its setpoints.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class ScriptedFlight:
         self.targets: dict[int, PositionEnu] = {1: TARGET}
         """Emitters that the radio hears, by id."""
         self.bearing_error_rad = 0.0
-        """Error of the radio's bearings, beside noise."""
+        """Error of the radio's bearings, besides noise."""
         self.follows = False
         """True if the vehicle is always at the last setpoint."""
         self.has_link = True

@@ -165,7 +165,7 @@ def test_after_a_pause_the_stream_begins_where_the_vehicle_is(missed: int, is_an
 
 
 def test_a_pause_on_a_stale_position_leaves_the_setpoint_where_it_is() -> None:
-    """Where the vehicle was a second ago is no better position than the one it was sent to."""
+    """The position of a second ago is no better than the one that the vehicle was sent to."""
     flight = ScriptedFlight().in_control()
     flight.fly(4.0)
     flight.has_position = False

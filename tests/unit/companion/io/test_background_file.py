@@ -12,7 +12,7 @@ from companion.io import files
 from companion.io.files import BackgroundFile
 
 PATIENCE_S = 30.0
-"""For a writer that a busy machine keeps waiting; half of what a disk hangs."""
+"""Time limit of a writer on a busy machine; half the time for which a disk hangs."""
 
 
 def test_records_arrive_in_order(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from companion.io import files
 from companion.io.files import BackgroundReplacer
 
 PATIENCE_S = 30.0
-"""For a writer that a busy machine keeps waiting; half of what a disk hangs."""
+"""Time limit of a writer on a busy machine; half the time for which a disk hangs."""
 
 
 def test_a_file_holds_the_newest_content(tmp_path: Path) -> None:

@@ -307,7 +307,7 @@ def test_a_stranger_does_not_keep_the_link_alive() -> None:
 
 @pytest.mark.parametrize("stall_s", [4.0, 30.0])
 def test_a_stall_of_the_companion_is_no_silence_of_its_autopilot(stall_s: float) -> None:
-    """What another address sent meanwhile, with an old stamp, is read first."""
+    """Frames of another address with an old stamp, sent during the stall, are read first."""
     heard = Heard().hear((1, 1), seconds=5)
     heard.is_in_control = True
     for _ in range(4):
@@ -334,7 +334,7 @@ def test_after_a_stall_on_the_ground_the_autopilot_is_still_there(stall_s: float
 
 
 KNOWN = VehicleMark(1, 1, "a1", 500.0)
-"""Of a vehicle whose boot clock shows 500 s when the next process begins."""
+"""Identity of a vehicle whose boot clock shows 500 s when the next process begins."""
 
 
 class TestARestartInFlight:

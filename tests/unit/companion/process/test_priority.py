@@ -13,7 +13,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux scheduling")
 PR_CAPBSET_DROP, CAP_SYS_NICE = 24, 23
-"""Of linux/prctl.h and linux/capability.h."""
+"""Numbers from linux/prctl.h and linux/capability.h."""
 SHOW = """
 import os, subprocess, sys, threading, time
 from companion.diagnostics import raised_priority

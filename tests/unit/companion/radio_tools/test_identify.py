@@ -105,7 +105,7 @@ def printed(format_: Format) -> bytes:
 
 @pytest.mark.parametrize("format_", NAMED, ids=lambda each: str(each.name))
 def test_each_emulated_radio_is_named_in_ten_seconds(format_: Format) -> None:
-    """Where it is plugged in, at its own speed and rate, asked if it must be."""
+    """It is plugged in with its own speed and rate, and polled if it must be."""
     bench = Bench(format_.name, format_.radio)
 
     code, text = identify(bench.url, hear=bench.hear, clock=bench.clock)

@@ -1,4 +1,4 @@
-"""At every moment of a flight the operator reads what to do, in few plain words."""
+"""At every moment of a flight the operator reads what to do, in a few plain words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from companion.view.snapshot import next_step
 from tests.loop.loop_helpers import Loop
 
 MOST_WORDS = 20
-"""Of the whole text; a longer one is not read in flight."""
+"""Maximum number of words in a text; a longer one is not read in flight."""
 
 
 @pytest.fixture(scope="module")

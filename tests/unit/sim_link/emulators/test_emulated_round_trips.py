@@ -144,7 +144,7 @@ def test_qualities_come_back_in_steps(format_: Format) -> None:
 
 @pytest.mark.parametrize("format_", formats("time_s"))
 def test_times_come_back_by_the_radios_own_clock(format_: Format) -> None:
-    """Whatever is late on the line: between two of them there is as much time as there was."""
+    """The time between two measurements is the true one, however late the lines arrive."""
     measured, printed = said(format_)
     late = [(data, now_s + 0.07 * (number % 3)) for number, (data, now_s) in enumerate(printed)]
     got = read(format_, late)

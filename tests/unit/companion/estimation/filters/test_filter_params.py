@@ -26,7 +26,7 @@ EVERYTHING = RangingMeasurement(
     elevation_sigma_rad=0.05,
 )
 SHARP = FilterParams(range_sigma_m=0.5, bearing_sigma_deg=1.0, elevation_sigma_deg=2.0)
-"""Of a radio that can do what is reported there."""
+"""Parameters of a radio that is as accurate as it reports."""
 
 
 @pytest.mark.parametrize(

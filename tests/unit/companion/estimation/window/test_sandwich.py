@@ -225,7 +225,7 @@ def test_with_repeating_noise_it_nearly_holds_what_it_says(rho: float) -> None:
 
 
 def test_without_correlation_it_would_be_far_too_sure() -> None:
-    """What the classical sandwich makes of residuals that repeat each other."""
+    """The classical sandwich understates the variance of residuals that repeat each other."""
     solver, covered = WindowMap(params()), 0
     for seed in range(100):
         rows = walk(np.random.default_rng([5, seed]), 120, rho=0.9)

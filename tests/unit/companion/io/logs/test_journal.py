@@ -29,7 +29,7 @@ FOUND = TargetEstimate(
 
 
 PATIENCE_S = 30.0
-"""For a writer that a busy machine keeps waiting; half of what a disk hangs."""
+"""Time limit of a writer on a busy machine; half the time for which a disk hangs."""
 
 
 def a_heartbeat() -> bytes:

@@ -297,7 +297,7 @@ def test_a_restart_is_still_a_restart() -> None:
 
 @pytest.mark.parametrize("late_s", [0.2, 0.5, 3.0])
 def test_a_link_that_becomes_late_for_good_is_no_clock_that_slipped(late_s: float) -> None:
-    """Whoever reads late stamps as fresh would fly on positions of the past."""
+    """Late stamps that are read as fresh would make it fly on positions of the past."""
     autopilot = Autopilot()
     autopilot.run(20.0)
     clock = autopilot.clock

@@ -17,7 +17,7 @@ from tools.campaign.flights import Monitored, monitored_flight
 
 FENCE = ((0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0))
 BORDER_NORTH_M = -150.0
-"""Of the default fence's south edge."""
+"""North coordinate of the default fence's south edge."""
 TICK_S = 0.05
 
 

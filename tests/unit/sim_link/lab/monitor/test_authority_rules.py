@@ -186,7 +186,7 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
 def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
     monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool
 ) -> None:
-    """What it saw of the offboard mode was its predecessor's; the pilot's next mode frees it."""
+    """The offboard mode that it saw was its predecessor's; the pilot's next mode frees it."""
     around = monitored_flight(AUTO, Scenario(autopilot=AutopilotParams(flavour="px4")), 1)
     around.flight.run(16.3)
     if is_too_bold:

@@ -59,7 +59,7 @@ def flown(defect: type[Planted] | None, seed: int = 1) -> Monitored:
 def test_a_stream_that_pauses_is_found_after_a_blind_time_too(
     blind_s: float, delay_s: float
 ) -> None:
-    """What may be silent until it knows who flies may not be so for ever."""
+    """A companion that may be silent until it knows who flies may not be silent for ever."""
     around = monitored_flight(AUTO, COPTER, 1, make_companion=maker(Pauses))
     around.flight.run(18.0)
     slow = LinkDelay(delay_s=delay_s, direction="to_companion")
