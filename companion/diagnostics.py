@@ -62,7 +62,7 @@ class ProcessUse:
     """Resources of the process at a moment."""
 
     resident_mb: float
-    """Present memory in RAM; the peak if the system does not report it."""
+    """Current memory in RAM; the peak if the system does not report it."""
     descriptors: int | None
     """Open files and sockets; None if the system does not report them."""
     threads: int
@@ -71,7 +71,7 @@ class ProcessUse:
 
 
 def process_use() -> ProcessUse:
-    """Return the present resources of this process."""
+    """Return the current resources of this process."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     resident_mb = peak / 1e6 if os.uname().sysname == "Darwin" else peak / 1e3
     descriptors = None

@@ -46,7 +46,7 @@ PACKAGES = ("companion", "sim_link")
 
 
 def _sources_digest() -> str:
-    """Return a short name for the present sources, by size and time of change."""
+    """Return a short name for the current sources, by size and time of change."""
     digest = hashlib.sha256()
     root = Path(__file__).resolve().parent.parent
     for package in PACKAGES:

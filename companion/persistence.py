@@ -79,7 +79,7 @@ class SessionClock(Protocol):
     speed: float
 
     def now_s(self) -> float:
-        """Return the present time."""
+        """Return the current time."""
 
 
 class RestartKeeper:

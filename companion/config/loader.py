@@ -148,7 +148,7 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
 def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) -> T:
     """Return the record of type `kind` in YAML text called `name`; empty text is all defaults.
 
-    `renew` gives keys of an earlier version their present names, in place. A `ConfigError` has a
+    `renew` gives keys of an earlier version their current names, in place. A `ConfigError` has a
     line for every problem, with the path of its key.
     """
     raw = _parse(text, name)

@@ -102,7 +102,7 @@ class Tunables:
 
     @property
     def tuning(self) -> Tuning:
-        """Present settings for the session."""
+        """Current settings for the session."""
         config = self.config
         return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
 

@@ -132,7 +132,7 @@ is refused."""
 
 
 def renew(raw: dict[str, Any], name: str) -> list[str]:
-    """Bring plain values of the file `name` to the present schema, in place.
+    """Bring plain values of the file `name` to the current schema, in place.
 
     Returns the paths of keys that are gone and had their default. Raises `ConfigError` for an
     unknown version and for other values of keys that are gone.

@@ -335,7 +335,7 @@ def _check_rate(rate: StreamRate) -> CheckResult:
 
 
 def _is_expected(name: str, facts: AutopilotFacts) -> bool:
-    """Return True if an autopilot sends a stream at all in its present state."""
+    """Return True if an autopilot sends a stream at all in its current state."""
     expected = {
         "ESTIMATOR_STATUS": facts.autopilot is Autopilot.PX4,
         "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,

@@ -336,7 +336,7 @@ class TargetTracker:
 
     @property
     def target_height_m(self) -> float:
-        """Configured height of the target about the vehicle's present zero, metres."""
+        """Configured height of the target about the vehicle's current zero, metres."""
         return self.params.filter.target_height_m + self.raised_m
 
     @property

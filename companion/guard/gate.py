@@ -63,7 +63,7 @@ class GuardLimits:
     """Limits of every setpoint; a `ValueError` begins with the name of a contradicting one."""
 
     fence: Fence | None
-    """Present fence; None: not known yet, so that nothing moves."""
+    """Current fence; None: not known yet, so that nothing moves."""
     envelope: Envelope
     stopping: Stopping
     distance_home_m: float = math.inf

@@ -195,7 +195,7 @@ class SessionContext:
         """True if control began or ended since commands were taken last."""
 
     def _search_prior(self) -> SearchPrior | None:
-        """Return the searched area's information about the emitter, in the present local frame."""
+        """Return the searched area's information about the emitter, in the current local frame."""
         return self.searching.prior(self.vehicle.frame)
 
     @property

@@ -405,7 +405,7 @@ class UncleanExitFound(Event):
     """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
 
     vehicle: VehicleMark | None = None
-    """Expected present state of that run's vehicle; None: unknown."""
+    """Expected current state of that run's vehicle; None: unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -378,7 +378,7 @@ class Fencing:
         )
 
     def _local_fence(self, fence: Fence | None) -> Fence | None:
-        """Return the configured fence in the present frame."""
+        """Return the configured fence in the current frame."""
         step_m = self._step_m()
         if fence is None or step_m == (0.0, 0.0):
             return fence
@@ -387,7 +387,7 @@ class Fencing:
         return Fence(polygon, margin_m, tuple(keep_outs))
 
     def _step_m(self) -> Point:
-        """Return the anchor in the present frame, east and north; `ValueError` if too far away."""
+        """Return the anchor in the current frame, east and north; `ValueError` if too far away."""
         origin, anchor, plan = self._origin, self.anchor, self.plan
         is_local = plan.limits.fence is not None or bool(plan.keep_out_enu_m)
         if origin is None or anchor is None or origin == anchor or not is_local:

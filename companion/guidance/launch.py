@@ -228,7 +228,7 @@ class Launch:
 
     @staticmethod
     def _launch_mode(heartbeat: HeartbeatReceived) -> FlightMode | None:
-        """Return the mode to arm in, or None if the present one will do."""
+        """Return the mode to arm in, or None if the current one will do."""
         if heartbeat.autopilot is Autopilot.ARDUPILOT:
             return None if heartbeat.mode is FlightMode.OFFBOARD else FlightMode.OFFBOARD
         usable = (FlightMode.HOLD, FlightMode.TAKEOFF)

@@ -164,7 +164,7 @@ MODE = 0o600
 
 
 def present_moment() -> Moment:
-    """Return the present, for comparison across restarts."""
+    """Return the current time, for comparison across restarts."""
     boot_id = ""
     with suppress(OSError):
         boot_id = _BOOT_ID.read_text(encoding="ascii").strip()

@@ -176,7 +176,7 @@ _WOKEN = struct.Struct(f"<{PEERS}d")
 class SharedClock(Clock):
     """Clock of every process but the pacer; `number` is its slot in the file.
 
-    `speed` is the pacer's present one.
+    `speed` is the pacer's current one.
     """
 
     def __init__(self, path: Path, number: int) -> None:

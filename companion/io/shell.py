@@ -2,9 +2,10 @@
 
 Theory of operation. The loop wakes when a link has data or the endpoint's timer is due. A wake-up
 hands over what arrived (at most 64 reads of one link), with the time of its arrival where the
-system knows it and the present otherwise, fires the timer if it is due, sends what the endpoint has
-queued and calls `on_wakeup`. The timer is checked on every wake-up, so a flood of datagrams cannot
-keep it waiting, and it fires once however late it is: the endpoint decides what to skip.
+system knows it and the current time otherwise, fires the timer if it is due, sends what the
+endpoint has queued and calls `on_wakeup`. The timer is checked on every wake-up, so a flood of
+datagrams cannot keep it waiting, and it fires once however late it is: the endpoint decides what to
+skip.
 
 An autopilot sends its messages in bursts, and a wake-up costs more than reading one of them,
 because other programs have used the processor's caches meanwhile. So a wake-up by data waits 2 ms
@@ -12,7 +13,7 @@ for the rest of its burst, unless the timer is due before. While `may_gather` al
 are stamped with their arrival wait for the timer: between two control ticks no setpoint is sent.
 
 After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
-read before the timer fires, so that the first tick works with present data; a flood can delay that
+read before the timer fires, so that the first tick works with current data; a flood can delay that
 by 0.1 s only.
 
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives it

@@ -125,7 +125,7 @@ class FenceDownload:
         self._rest_until_s = -math.inf
         self._rest_s = REST_S
         self._fence_id: int | None = None
-        """Reported id of the present fence; 0: ids are not supported, or there is no fence."""
+        """Reported id of the current fence; 0: ids are not supported, or there is no fence."""
         self._read_id: int | None = None
         """Reported id of the fence that was read last."""
         self._again_s = math.inf

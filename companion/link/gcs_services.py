@@ -74,7 +74,7 @@ class TunableSpec:
 
 
 class TunableBook(Protocol):
-    """Parameters and their values in the present configuration."""
+    """Parameters and their values in the current configuration."""
 
     @property
     def specs(self) -> Sequence[TunableSpec]:

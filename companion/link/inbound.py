@@ -172,7 +172,7 @@ class VehicleInbound:
         self._newest: dict[int, int] = {}
         """Sending order of the newest message of each kind."""
         self._frame: LocalOrigin | None = None
-        """Origin of the present frame, shifted with every local position."""
+        """Origin of the current frame, shifted with every local position."""
         self._frame_begun: tuple[int, float] | None = None
         """Sending order and time of the report with which that frame began."""
         self._health = HealthReports()

@@ -296,7 +296,7 @@ class Authenticity:
         return LinkSigning(self._signing, number % 256, unsigned_ids=allowed)
 
     def set_clock(self, unix_s: float, now_s: float) -> None:
-        """Set the time in signatures to the present wall clock."""
+        """Set the time in signatures to the current wall clock."""
         self._unix_minus_local_s = unix_s - now_s
 
     def is_proved(self, frame: bytes) -> bool:

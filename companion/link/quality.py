@@ -258,7 +258,7 @@ MANY_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class RadioStatus:
-    """Present state of one radio."""
+    """Current state of one radio."""
 
     name: str
     rate_hz: float
@@ -333,7 +333,7 @@ class RadioWatch:
         return [*states, *(Announce(severity, f"{topic}: {text}") for severity, text in news)]
 
     def status(self, now_s: float) -> RadioStatus:
-        """Return the present state."""
+        """Return the current state."""
         stage, heard_s = self.stage, self.stage.received_s
         first_s, first = self._measured[0] if self._measured else (now_s, stage.measured)
         passed_s = now_s - first_s

@@ -4,7 +4,7 @@ Theory of operation. The cause of a text is its wording without numbers, and wit
 missing inputs. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it
 comes and goes. Texts of one topic are states that replace each other, such as "waiting for ..." and
 "ready"; there the newest withheld state is announced as soon as its cause may be, unless the topic
-has gone back to the announced one. So the last text of a topic is the present state, at the latest
+has gone back to the announced one. So the last text of a topic is the current state, at the latest
 after one period. Changes of control are never withheld: they are answers to the pilot, and guidance
 already spaces them.
 

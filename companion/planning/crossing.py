@@ -232,7 +232,7 @@ class LatchedCrossing:
         over_m: float,
         sigmas_m: float,
     ) -> float:
-        """Return the descent to the lowest height, if it pays at the present overshoot, else 0.
+        """Return the descent to the lowest height, if it pays at the current overshoot, else 0.
 
         It is 0 while the target's position is too uncertain.
         """

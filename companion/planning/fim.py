@@ -231,7 +231,7 @@ def best_candidate(
 ) -> int:
     """Return the index of the E-optimal of the poses (3 or 9, k + 1), or `STAY`.
 
-    The last pose is the present one; of the others those count that `may_fly` (k,).
+    The last pose is the current one; of the others those count that `may_fly` (k,).
     """
     worst = worst_variances_m2(P, mean, poses, sigma, view, model)
     best, least = STAY, worst[-1]

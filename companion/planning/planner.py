@@ -1,4 +1,4 @@
-"""Planner protocol: the next waypoint from the present state, as a pure step in free space.
+"""Planner protocol: the next waypoint from the current state, as a pure step in free space.
 
 Planners choose a goal and end with `route_to`, which turns it into a waypoint whose leg is clear:
 the goal itself, the first corner of the shortest path around obstacles, the shortest way back into

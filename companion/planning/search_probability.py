@@ -1,6 +1,6 @@
 """Search by remaining probability: a pattern if it is uniform, else legs where it is highest.
 
-Theory of operation. A candidate is a row of straight legs: what is left of the present track, the
+Theory of operation. A candidate is a row of straight legs: what is left of the current track, the
 pattern over the whole area, lanes over connected cells above a level of the remaining density,
 along and across, an expanding square about the densest of them, and a sector search about the only
 one. The value of a candidate is the highest rate of success per second of its beginnings, the
@@ -10,10 +10,10 @@ flight to it included:
 
 Rows of tasks with an order of their own are done in the order of this index for the least mean
 time of discovery (J. B. Sidney, Operations Research 23, 1975; L. D. Stone, Theory of Optimal
-Search). The present track is left only for a rate that exceeds its own by `LEAVE_RATIO`. Beginnings
+Search). The current track is left only for a rate that exceeds its own by `LEAVE_RATIO`. Beginnings
 that leave no charge for the way home do not count.
 
-A decision is made while the present leg is flown, for its end, a few forecasts of a leg at each
+A decision is made while the current leg is flown, for its end, a few forecasts of a leg at each
 request, each O(cells). With an even POA the pattern begins at once; otherwise the vehicle holds
 until the first decision is made, a few seconds.
 """
@@ -40,7 +40,7 @@ FORECASTS_AT_ONCE = 6
 MOST_LEGS = 12
 """Legs of a candidate that are forecast; its best beginning is nearly always shorter."""
 LEAVE_RATIO = 1.2
-"""Rate of another candidate over that of the present track; forecasts err by about as much."""
+"""Rate of another candidate over that of the current track; forecasts err by about as much."""
 LEVELS = (0.7, 0.4, 0.15)
 """Densities, relative to the highest, whose regions become candidates."""
 MOST_REGIONS = 3
@@ -79,7 +79,7 @@ class CandidateLegs:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Work on the choice of the leg after the present one."""
+    """Work on the choice of the leg after the current one."""
 
     outlook: Outlook
     """Expected when it begins."""
@@ -89,7 +89,7 @@ class Decision:
     waiting: tuple[Source, ...]
     candidate: CandidateLegs | None = None
     present: CandidateLegs | None = None
-    """The present track, finished."""
+    """The current track, finished."""
     best: CandidateLegs | None = None
 
     @property
@@ -108,7 +108,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class ProbabilityMemory(SearchMemory):
-    """Progress along the present track, and the decision about the following leg."""
+    """Progress along the current track, and the decision about the following leg."""
 
     decision: Decision | None = None
     is_choosing: bool = False
@@ -118,7 +118,7 @@ class ProbabilityMemory(SearchMemory):
     pattern_m: float = math.inf
     """Length of the pattern over the whole area, which is one sweep."""
     why: str = ""
-    """Probability that the present leg succeeds, in words."""
+    """Probability that the current leg succeeds, in words."""
 
 
 class ProbabilityPlanner(SearchPlanner):

@@ -325,7 +325,7 @@ def latch_verdict(
 
     The latch was chosen when less was known; once a shorter overshoot suffices, the rest of a long
     one would only cost time, so a crossing is also complete once the estimate lies behind by the
-    present overshoot. Neither counts before the vehicle is at the height of the crossing.
+    current overshoot. Neither counts before the vehicle is at the height of the crossing.
     """
     if latch.crossings < 0:
         return FIRST

@@ -202,7 +202,7 @@ class TerminalView(FlightView):
         self._thread.start()
 
     def update(self, endpoint: CompanionEndpoint, now_s: float) -> None:
-        """Pass the present moment to the thread, if a picture is due."""
+        """Pass the current snapshot to the thread, if a picture is due."""
         wall_s = time.monotonic()
         if wall_s < self._next_wall_s:
             return

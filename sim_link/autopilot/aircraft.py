@@ -247,7 +247,7 @@ class Aircraft:
         """Move for a physics step; no command means that the motors stand.
 
         Args:
-            yaw_ned_rad: The wanted heading, as the estimator counts; None keeps the present one.
+            yaw_ned_rad: The wanted heading, as the estimator counts; None keeps the current one.
         """
         before = self.body.position_enu_m
         if self._gust_rng is not None:

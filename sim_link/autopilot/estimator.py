@@ -96,7 +96,7 @@ class NavigationError:
         self._coming = sorted(params.fix_changes, key=lambda each: each.at_s, reverse=True)
         self.fix: FixName = params.fix
         self.sigma_m = params.sigma_m
-        """Present standard deviation, per horizontal axis."""
+        """Current standard deviation, per horizontal axis."""
         self.height_sigma_m = params.height_sigma_m
         self._normals: list[float] = rng.standard_normal(3).tolist()
 

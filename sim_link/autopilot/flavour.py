@@ -372,7 +372,7 @@ class AutopilotFlavour(ABC):
             self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
 
     def note(self, now_s: float, text: str) -> None:
-        """Add an occurrence with the present mode to the vehicle's record."""
+        """Add an occurrence with the current mode to the vehicle's record."""
         self.occurrences.append(Occurrence(now_s, self.mode, self.aircraft.is_armed, text))
 
     def _armed_changed(self, is_armed: bool) -> None:

@@ -266,7 +266,7 @@ NAVIGATION_KEYS_OF_RC1 = {"tells_accuracy": "reports_accuracy", "told_ratio": "r
 
 
 def renew_scenario(scenario: dict[str, Any]) -> None:
-    """Rename incidents of version 0.1 and keys of 1.0.0rc1 to their present names, in place."""
+    """Rename incidents of version 0.1 and keys of 1.0.0rc1 to their current names, in place."""
     navigation = scenario.get("navigation")
     if isinstance(navigation, dict):
         for old, present in NAVIGATION_KEYS_OF_RC1.items():

@@ -44,7 +44,7 @@ class LegKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MissionLeg:
-    """Target of the present part of a mission."""
+    """Target of the current part of a mission."""
 
     kind: LegKind
     goal_enu_m: PositionEnu
@@ -108,7 +108,7 @@ class MissionRun:
             self._complete()
 
     def pause(self) -> None:
-        """Pause the mission at the present item."""
+        """Pause the mission at the current item."""
         if self.state is MissionState.ACTIVE:
             self.state = MissionState.PAUSED
         self._goal = None

@@ -245,7 +245,7 @@ def _thrust_share(vehicle: SimVehicle) -> float:
 
 
 def attitude_target(vehicle: SimVehicle) -> Fields:
-    """Return the present attitude, which a point mass attains at once."""
+    """Return the current attitude, which a point mass attains at once."""
     return (boot_ms(vehicle), 0, list(_quaternion(vehicle)), *STILL, _thrust_share(vehicle))
 
 

@@ -166,7 +166,7 @@ class Pilot:
     ) -> float | None:
         """Return the heading that the task wants, clockwise from north.
 
-        None keeps the present one.
+        None keeps the current one.
         """
         match self.task:
             case Task.FOLLOW:

@@ -236,7 +236,7 @@ BUILDERS = {int(message.id): (message, build) for message, build in _CLASSES.ite
 
 
 def build_message(vehicle: SimVehicle, number: int) -> Message | None:
-    """Return the message with id `number`; None if unknown, or without data at present."""
+    """Return the message with id `number`; None if unknown, or without current data."""
     if number not in BUILDERS or number not in vehicle.flavour.firmware.streams.default_rates_hz:
         return None
     message, build = BUILDERS[number]

@@ -215,7 +215,7 @@ class FlightRecorder:
         self._fresh: list[Occurrence] = []
 
     def take(self, vehicle: SimVehicle) -> None:
-        """Take over the events up to the vehicle's present step."""
+        """Take over the events up to the vehicle's current step."""
         if vehicle.time_s + 0.5 * STEP_S >= self._track_due_s:
             self.track.append((vehicle.time_s, *vehicle.body.position_enu_m))
             if len(self.track) > MAX_TRACK_POINTS:

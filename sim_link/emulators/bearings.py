@@ -149,7 +149,7 @@ class KrakenSuite(Kraken):
     title = "KrakenSDR suite of 2026, DOA_value.html"
 
     def encode(self, asked: Round) -> bytes:
-        """Return the whole table with the present time."""
+        """Return the whole table with the current time."""
         self._update(asked)
         epoch_ms = self.device_ms(asked.sent_at_s)
         return "".join(

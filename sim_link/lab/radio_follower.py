@@ -142,7 +142,7 @@ class RadioFollower(OneShotEndpoint):
 
     @property
     def emitter_ids(self) -> tuple[int, ...]:
-        """Ids of all present emitters."""
+        """Ids of all emitters that are present."""
         return tuple(emitter.emitter_id for emitter in self._wanted)
 
     def receive(self, chunk: Chunk, now_s: float) -> None:

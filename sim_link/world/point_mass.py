@@ -149,7 +149,7 @@ class PointMass:
         self._drift = self._drift_of_wind()
 
     def set_wind(self, wind: WindParams) -> None:
-        """Set another wind; the present gust continues."""
+        """Set another wind; the current gust continues."""
         self.wind = wind
         self._drift = self._drift_of_wind()
 

@@ -1,7 +1,7 @@
 """Prints errors of the field radios along their flights beside the best possible accuracy.
 
 It is the Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the
-vehicle's position and height about their present value, and the priors of offset, height and
+vehicle's position and height about their current value, and the priors of offset, height and
 bearing offset with which the estimator is configured. Without reflections no estimator beats it.
 With them, as spatially correlated errors of the same variance, it is the least error of a linear
 estimator. Every measurement arrives, and the noise is known. Received power has no bound here.

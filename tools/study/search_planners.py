@@ -95,7 +95,7 @@ class StoneSoup:
         self._table = table
 
     def goal(self, at: Point, area: SearchedArea) -> Point:
-        """Return the end of the present move, or of the next one."""
+        """Return the end of the current move, or of the next one."""
         goal = self._point(self._movable.position)
         if math.dist(at, goal) > 1e-6:
             return goal

@@ -175,7 +175,7 @@ class HttpPollLink(WaitingLink):
 
 
 class FileLink(WaitingLink):
-    """Growing file, read from its present end; a new file of its name from the beginning."""
+    """Growing file, read from its current end; a new file of its name from the beginning."""
 
     def __init__(self, path: Path, index: int, received: Received) -> None:
         super().__init__(f"file {path}", index, received)

@@ -29,7 +29,7 @@ FEWEST_PAIRS = 20
 LEAST_OFF_M = 0.1
 """Difference up to which positions agree."""
 RENEW_OFF_M = 0.05
-"""Change of the present position from which a fit is renewed."""
+"""Change of the current position from which a fit is renewed."""
 EXPLAINED_M = 0.03
 """Root mean square difference below which a projection is the autopilot's."""
 FARTHEST_OFF_M = 200.0

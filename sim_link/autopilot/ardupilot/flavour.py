@@ -132,7 +132,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return is_settled and self.aircraft.estimator.is_position_valid
 
     def arming_refusal(self, now_s: float) -> str | None:
-        """Return the reason why it could not be armed in the present mode, or None."""
+        """Return the reason why it could not be armed in the current mode, or None."""
         if not self.copter_mode.is_armable:
             return f"{self.copter_mode.name} mode not armable"
         if not self.has_home(now_s):

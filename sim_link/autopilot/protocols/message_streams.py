@@ -180,7 +180,7 @@ def cast_to_uint32(value: float) -> int:
 
 AVAILABLE_MODES = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
 Build = Callable[[int], Message | None]
-"""Builds the message with an id; None if unknown, or without data at present."""
+"""Builds the message with an id; None if unknown, or without current data."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ refused, and is no proof of life.
 
 Source: MAVLink common, messages 82, 84 and 86; PX4 user guide, offboard; PX4 1.15 as observed.
 
-PX4's failsafes: the present faults, and the reaction that takes precedence.
+PX4's failsafes: the active faults, and the reaction that takes precedence.
 
 Theory of operation. Every cause has a reaction while it is active, and the most severe reaction is
 flown. Most reactions wait: PX4 holds for COM_FAIL_ACT_T first, so that the operator may take over,

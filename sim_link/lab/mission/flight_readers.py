@@ -161,7 +161,7 @@ CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)
 
 
 class EventReader:
-    """Turns events of the companion into the record of the flight and the present situation.
+    """Turns events of the companion into the record of the flight and the current situation.
 
     It is a companion's `Journal`, so that a companion in memory writes straight into it. An event
     that names no emitter is of the first one.
@@ -282,7 +282,7 @@ class WireWatch:
         self._late_s = 0.0
         self._looked_s: float | None = None
         self._events: list[tuple[float, str, Mapping[str, Any]]] = []
-        """Events of the companion's present process, with its own times."""
+        """Events of the companion's current process, with its own times."""
 
     @property
     def slack_s(self) -> float:

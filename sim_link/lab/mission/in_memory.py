@@ -172,7 +172,7 @@ class _Operator:
         self._is_ardupilot = flight.scenario.autopilot.flavour == "ardupilot"
 
     def ask(self, action: steps.Action) -> None:
-        """Carry out an operator's action at the present time of the flight."""
+        """Carry out an operator's action at the current time of the flight."""
         match action:
             case steps.Request.ARM:
                 if self._is_ardupilot:

@@ -1,7 +1,7 @@
 """Record of a mission flight, and the result with its verdicts.
 
 Theory of operation. The runner of a mission fills a `FlightRecord`, whose `situation` is the
-present moment as conditions see it. At the end every expectation gets a verdict, the steps
+current moment as conditions see it. At the end every expectation gets a verdict, the steps
 together get one, and record and verdicts are a `MissionResult`.
 """
 

@@ -355,11 +355,11 @@ class TrueScene(ObservedScene):
     vehicle: SimVehicle = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        """Begin with the present state of the vehicle."""
+        """Begin with the current state of the vehicle."""
         self.look_at(self.vehicle)
 
     def look_at(self, vehicle: SimVehicle) -> None:
-        """Process the vehicle's present state."""
+        """Process the vehicle's current state."""
         self.vehicle = vehicle
         self.system_id = vehicle.system_id
         self.is_px4 = vehicle.scenario.autopilot.flavour == "px4"

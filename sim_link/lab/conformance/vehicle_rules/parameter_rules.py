@@ -94,7 +94,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(SERVICE, effect=CHANGES)
     def set_of_an_equal_value_is_echoed(self) -> None:
-        """PARAM_SET with the present value is echoed, too."""
+        """PARAM_SET with the current value is echoed, too."""
         before = self.read(self.float_name)
         self.write(before.name, before.value, before.kind)
         require(self.await_value(before.name).raw == before.raw, "another value")
