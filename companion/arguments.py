@@ -156,7 +156,7 @@ def _add_links(parser: Options) -> None:
     _option(parser, "--ranging", "URL", text, **repeatable)
     text = "radio with a format of its own, NAME[:KEY=VALUE,...]@URL; repeatable"
     _radios(parser, text, "radio")
-    text = "link to a ground station, beside the way through the autopilot; repeatable"
+    text = "link to a ground station, besides the route through the autopilot; repeatable"
     _option(parser, "--gcs", "URL", text, **repeatable)
     text = "send found emitters as Cursor on Target over UDP, for ATAK (239.2.3.1:6969)"
     _option(parser, "--cot", "HOST:PORT", text)

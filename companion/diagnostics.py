@@ -97,7 +97,7 @@ TICK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ProcessParts:
-    """Parts of the process beside the endpoint."""
+    """Parts of the process besides the endpoint."""
 
     journal: BlackBox
     timing: TimerStatistics

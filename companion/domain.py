@@ -6,7 +6,7 @@ axis. A quantity that was not measured is `None`, never NaN.
 
 Parameter records are frozen too: every package declares its own as a subclass of `Params`;
 `companion.config` composes them and reads them from YAML, so defaults and bounds are defined once,
-beside the code that uses them.
+next to the code that uses them.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class RangingMeasurement:
 
     @property
     def is_power_alone(self) -> bool:
-        """True if it has neither a range nor a bearing beside its power."""
+        """True if it has neither a range nor a bearing besides its power."""
         others = (self.range_m, self.bearing_enu_rad, self.bearing_body_rad)
         return self.power_dbm is not None and others == (None,) * 3
 
@@ -260,7 +260,7 @@ class TargetEstimate:
     absolute_r95_m: float = -math.inf
     """The same radius with the vehicle position's error in it; never less than `r95_m`."""
     settled_r95_m: float = math.inf
-    """`r95_m` without the drift of the vehicle position meanwhile, which more measurements do not
+    """`r95_m` without the drift of the vehicle position since then, which more measurements do not
     reduce."""
 
     def __post_init__(self) -> None:

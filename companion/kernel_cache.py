@@ -1,10 +1,10 @@
 """Kernels that were compiled ahead of the flight: where they are kept, and that they are whole.
 
 A flight loads no compiler, because numba and LLVM take 160 MB of memory. Its kernels are machine
-code in a folder `companion_kernels`: beside the program, as in the Debian package, or in the user's
-cache, where `companion warm-up` compiles them in a process of its own. Such a folder holds an
-extension module and its description, with digests of the sources and of the machine code. Others'
-kernels and damaged ones are not loaded; kernels then run as plain Python.
+code in a folder `companion_kernels`: next to the program, as in the Debian package, or in the
+user's cache, where `companion warm-up` compiles them in a process of its own. Such a folder holds
+an extension module and its description, with digests of the sources and of the machine code.
+Others' kernels and damaged ones are not loaded; kernels then run as plain Python.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _digest_of(package: Path, variants: Variants) -> str:
 
 
 def installed() -> tuple[Any, Variants] | None:
-    """Return the kernels that are installed beside the program."""
+    """Return the kernels that are installed next to the program."""
     spec = importlib.util.find_spec(PACKAGE)
     for folder in (spec and spec.submodule_search_locations) or ():
         if (found := load(Path(folder))) is not None:

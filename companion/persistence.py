@@ -9,8 +9,8 @@ mismatch, and its fences of the flight are restored even for another mission, as
 is widened on the ground only. An orderly end deletes the files, unless the vehicle was left armed
 in mid-mission.
 
-Parameters that a ground station changed are kept beside them, and are restored at the next start as
-far as the configuration's rules allow.
+Parameters that a ground station changed are kept next to them, and are restored at the next start
+as far as the configuration's rules allow.
 
 A flight that is killed leaves what it had searched half a minute before; these files are made on a
 thread of their own.

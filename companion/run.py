@@ -1,4 +1,4 @@
-"""The composition root of a flight: endpoint, shell, logs, and the periodic tasks beside them.
+"""The composition root of a flight: endpoint, shell, logs, and the periodic tasks around them.
 
 Periodic tasks run after every control tick, and must never end a flight. Flying comes first: a task
 that raises is a bug of ours, is announced once and not run again. It is not retried, because an

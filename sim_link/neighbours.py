@@ -3,7 +3,7 @@
 Each is a whole simulated vehicle, in the air, with a boot clock and sequence numbers of its own,
 and its own companion keeps it where it is. What our companion sends reaches it as it would there:
 everything that is sent to its address, and, where both are behind one address, everything that is
-sent to that. `FleetAmongOthers` puts them beside our vehicles on real links.
+sent to that. `FleetAmongOthers` puts them next to our vehicles on real links.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Each emulated radio beside the decoder that reads it, and the resolution of its format."""
+"""Each emulated radio with the decoder that reads it, and the resolution of its format."""
 
 from __future__ import annotations
 

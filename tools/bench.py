@@ -1,4 +1,4 @@
-"""Benchmarks of filters and of the control tick, beside a library or an earlier release.
+"""Benchmarks of filters and of the control tick, compared with a library or an earlier release.
 
 Exit code 0 whether or not the limits are met, because the figures depend on the machine as well. 2:
 bad input.
@@ -54,7 +54,7 @@ def parsed() -> argparse.Namespace:
 
 
 def print_ticks(arguments: argparse.Namespace) -> None:
-    """Measure every case and print each result at once, beside that of another checkout."""
+    """Measure every case and print each result at once, next to that of another checkout."""
     kinds = tuple(LIMIT_MS) if arguments.only is None else (arguments.only,)
     if "compiled" in kinds and kernel_cache.kept() is None:
         kernel_cache.compile_kernels()

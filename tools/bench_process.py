@@ -1,4 +1,4 @@
-"""Memory and processor time of the companion in flight, beside two libraries that only listen.
+"""Memory and processor time of the companion in flight, and of two libraries that only listen.
 
     .venv/bin/python tools/bench_process.py [--seconds 30] [--kernels FOLDER] [--json FILE]
 

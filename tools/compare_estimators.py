@@ -193,7 +193,7 @@ def table(scores: Sequence[Score]) -> str:
 
 
 def plot(scores: Sequence[Score], path: Path) -> None:
-    """Draw error beside R95 of every target, a panel for each estimator."""
+    """Draw error against R95 of every target, a panel for each estimator."""
     from tools.study.reporting.plots import panels_of
 
     names = list(dict.fromkeys(s.estimator for s in scores))
@@ -228,7 +228,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=non_negative, default=1, metavar="N")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
-    parser.add_argument("--plot", type=Path, metavar="PNG", help="draw error beside R95 there")
+    parser.add_argument("--plot", type=Path, metavar="PNG", help="draw error against R95 there")
     arguments = parser.parse_args(argv)
     try:
         scores = compared(arguments)

@@ -2,9 +2,9 @@
 
 2: bad input, or a file that cannot be written. The figures:
 
-    lawnmower   the canonical scenario with fixed lanes: final RMSE of AsymmetricHuberEKF, beside
+    lawnmower   the canonical scenario with fixed lanes: final RMSE of AsymmetricHuberEKF, and of
                 the symmetric filter in the same runs, and the range offset it converges to
-    bound       the tracker with its window on tracks of FIM and latched crossing: RMSE beside the
+    bound       the tracker with its window on tracks of FIM and latched crossing: RMSE against the
                 Cramer-Rao bound of those tracks
     walks       only if asked for: recorded walks in --walks FOLDER (rtt*, uwb*, plaza* and wsr*
                 .csv): error of the final and of the better stated position, states and share that
@@ -99,7 +99,7 @@ def lawnmower_systems() -> list[tuple[Case, System]]:
 
 
 def lawnmower_figures(measured: Measured) -> list[Figure]:
-    """Return the RMSE of every filter; rank and range offset of the first, beside Huber's."""
+    """Return the RMSE of every filter; rank and range offset of the first, and Huber's."""
     (ours, tally), (_, huber) = measured[:2]
     ours_m, ratio = tally.final_m, tally.final_m / huber.final_m
     offset_m = float(tally.range_offset_m[-1] / tally.runs)

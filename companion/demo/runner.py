@@ -40,7 +40,7 @@ STOP_TIMEOUT_S = 30.0
 
 
 class SimulatorProcess(ChildProcess):
-    """`sim-link`, which ends with this process; its output goes beside its report."""
+    """`sim-link`, which ends with this process; its output goes next to its report."""
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 A belief is the set of hypotheses as a mixture of Gaussians. It does not contain the measurements:
 after a restart they cannot be re-weighted, so the covariances are inflated instead, and grow with
-the age of the checkpoint by a random walk, for a target or a local frame that drifted meanwhile. A
+the age of the checkpoint by a random walk, for a target or a local frame that drifted since then. A
 belief that was wrong altogether is discarded like any other one: the measurements contradict it.
 
 Everything that is read from a disk is validated first, see `Belief.problem`.
@@ -98,7 +98,7 @@ def hypotheses_of(
     belief: Belief, age_s: float, now_s: float, params: FilterParams
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses of a belief of this age, with inflated covariances."""
-    drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, as far as a local frame drifts meanwhile
+    drift_m_per_sqrt_s = 0.1  # chosen: 1 m after 100 s, the drift of a local frame in that time
     walk = max(params.process_noise_m_per_sqrt_s, drift_m_per_sqrt_s)
     hypotheses = []
     for stored in belief.places:

@@ -239,7 +239,7 @@ class Guard:
     def _restarted(self, why: GuardReason, step: _Step, fence: Fence) -> Guarded:
         """Return the vehicle's position, or the last setpoint if a too fast vehicle passed it.
 
-        In the margin the setpoint moves inwards meanwhile, because wind keeps a vehicle beside it;
+        In the margin the setpoint keeps moving inwards, because wind keeps a vehicle off it;
         it is never farther outside than the vehicle.
         """
         ve, vn = step.ground_mps

@@ -144,7 +144,7 @@ class ControlTick:
                 context.warn(f"setpoints stopped: autopilot stays in {mode}; choose a mode")
 
     def _unready(self, now_s: float) -> Finding | None:
-        """Return the inputs that control needs beside those that every flight watches."""
+        """Return the inputs that control needs besides those that every flight watches."""
         names = missing_inputs(self._context.vehicle, self._context.fencing, now_s)
         if not names:
             return None

@@ -344,7 +344,7 @@ class AutopilotFenceChanged(Event):
 
 
 class OperatorCommand(Enum):
-    """Commands of the operator beside the mode switch."""
+    """Commands of the operator besides the mode switch."""
 
     HOLD = "hold"
     RESUME = "resume"

@@ -68,7 +68,7 @@ class FencePlan:
     """Limits, with the fence if that is local."""
     margin_m: float
     keep_out_enu_m: tuple[Corners, ...] = ()
-    """Keep-outs of our own, beside those of a fence in degrees."""
+    """Keep-outs of our own, in addition to those of a fence in degrees."""
     site: GeoFence | None = None
     policy: FencePolicy = FencePolicy.IGNORE
 
@@ -360,7 +360,7 @@ class Fencing:
         return Fence(smallest, max(margins_m), tuple(keep_outs), tuple(rest))
 
     def _is_another(self, theirs: GeoFence) -> bool:
-        """Return True if a fence of the autopilot limits the flight beside the guard's own."""
+        """Return True if a fence of the autopilot limits the flight besides the guard's own."""
         if self._is_circle(theirs):
             return False
         if self.plan.policy is FencePolicy.USE:

@@ -247,7 +247,7 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 class KeptOffset(msgspec.Struct, frozen=True, kw_only=True):
-    """Range offset that a calibration beside the antenna found."""
+    """Range offset that a calibration next to the antenna found."""
 
     range_offset_m: float
     scatter_m: float

@@ -1,4 +1,4 @@
-"""Recording of radios: the bytes they sent, and the vehicle's poses meanwhile.
+"""Recording of radios: the bytes they sent, and the vehicle's poses at the same time.
 
 Theory of operation. The file is JSON lines: a header, then bytes, poses and, once the autopilot
 reports it, the origin of its local frame, all in the order of arrival and with the time on the

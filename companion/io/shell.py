@@ -8,11 +8,11 @@ datagrams cannot keep it waiting, and it fires once however late it is: the endp
 skip.
 
 An autopilot sends its messages in bursts, and a wake-up costs more than reading one of them,
-because other programs have used the processor's caches meanwhile. So a wake-up by data waits 2 ms
+because other programs have used the processor's caches since then. So a wake-up by data waits 2 ms
 for the rest of its burst, unless the timer is due before. While `may_gather` allows it, data that
 are stamped with their arrival wait for the timer: between two control ticks no setpoint is sent.
 
-After a stall (the process was suspended or starved) the links hold what arrived meanwhile. It is
+After a stall (the process was suspended or starved) the links hold what arrived during it. It is
 read before the timer fires, so that the first tick works with current data; a flood can delay that
 by 0.1 s only.
 
@@ -246,7 +246,7 @@ class Shell:
         self._stop_wanted.set()
         loop = self._loop
         if loop is not None:
-            with suppress(RuntimeError):  # the loop ended meanwhile: stopped anyway
+            with suppress(RuntimeError):  # the loop has ended: stopped anyway
                 loop.call_soon_threadsafe(self._begin_stop)
 
     def _make_loop(self) -> asyncio.AbstractEventLoop:

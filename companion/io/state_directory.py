@@ -10,7 +10,7 @@ share anyone could take it; so companions of two users, state directories or com
 recognised only by their frames, see `companion.link.outlet.OwnFrames`.
 
 Timestamps of signing. Without its own timestamp and the last one of every stream a frame recorded
-before a restart would be accepted after it. They are kept beside the key, in two slots written
+before a restart would be accepted after it. They are kept next to the key, in two slots written
 alternately with a checksum, so that a power cut loses one at most. After a crash the last seconds
 are missing: then every stream must first be newer than the stored timestamp by `CRASH_MARGIN_S`.
 
@@ -239,7 +239,7 @@ class _Slot(msgspec.Struct, frozen=True):
 
 
 class SigningStore:
-    """The two slots `NAME.time-0` and `-1` beside a key; a `ConfigError` if none can be read."""
+    """The two slots `NAME.time-0` and `-1` next to a key; a `ConfigError` if none can be read."""
 
     def __init__(self, key_file: Path, key: SigningKey) -> None:
         self.paths = tuple(key_file.with_name(f"{key_file.name}.time-{n}") for n in range(SLOTS))
@@ -312,7 +312,7 @@ class SigningKeeper:
 def open_signing_keeper(
     key_file: Path, key: SigningKey, rules: SigningPolicy = AS_THE_GUIDE
 ) -> SigningKeeper:
-    """Return a keeper that restores signing from the memory beside the key and stores it again."""
+    """Return a keeper that restores signing from the memory next to the key and stores it again."""
     store = SigningStore(key_file, key)
     return SigningKeeper(store.signing(key, rules), store)
 

@@ -1,6 +1,6 @@
 """Services of the companion for ground stations: parameters (list, read, set) and commands.
 
-A ground station sees the parameters as those of component 191 beside the vehicle's. A new value is
+A ground station sees the parameters as those of component 191 next to the vehicle's. A new value is
 validated like the configuration, and applied only when that is safe; a refusal reports the value
 that is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers are encoded
 like the autopilot's, bytewise with PX4 and cast with ArduPilot, because ground stations decode all

@@ -5,8 +5,8 @@ delivered as 1/1, and a router may bring both from one address. One vehicle is r
 continuity: `time_boot_ms` grows as our own clock does, its position is reachable from the last one,
 and its sequence numbers follow each other. `IdentityCourse` follows that at one address.
 
-A stamp that contradicts the course begins another one beside it, and is withheld until the case is
-clear. Delayed frames are late, but do not alternate with prompt ones. A clock that slips, and a
+A stamp that contradicts the course begins another one in parallel, and is withheld until the case
+is clear. Delayed frames are late, but do not alternate with prompt ones. A clock that slips, and a
 restart, leave the old course for good: a slip is by seconds and keeps position or sequence, a
 restarted clock shows no more time than has passed. Any other change for good is another vehicle in
 its place. And where frames return to the old course several times, two vehicles send. Position

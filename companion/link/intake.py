@@ -288,7 +288,7 @@ class Authenticity:
     ) -> LinkSigning | None:
         """Return the signing of a link's codec; None without a key.
 
-        Messages of `unsigned_ids` may come unsigned on it, beside those that can never be signed.
+        Messages of `unsigned_ids` may come unsigned on it, besides those that can never be signed.
         """
         if self._signing is None:
             return None

@@ -243,7 +243,7 @@ class RadioStage:
         said = (reading.range_m, reading.azimuth_rad, reading.elevation_rad)
         if (range_m, bearing_rad, elevation_rad) == (None,) * 3 and (
             power_dbm is None or said != (None,) * 3
-        ):  # a power beside a range or an angle that cannot be used is not used alone
+        ):  # a power with a range or an angle that cannot be used is not used alone
             return None
         settings, device_s = self.setup.settings, reading.device_time_s
         factor = self._sigma_factor(reading.quality)

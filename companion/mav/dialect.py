@@ -1,11 +1,11 @@
 """Dialect: the only import of pymavlink, with more messages registered in it.
 
 All other modules take message classes and enum values from here. `development` is the dialect that
-holds RANGING_BEACON (513) beside all of `common`. Added are our RADIO_RANGING and TARGET_ESTIMATE
-(`radio_ranging.xml`: change the XML and this file together), ArduPilot's EKF_STATUS_REPORT, and
-COMMAND_CANCEL, which pymavlink 2.4.50 lacks. They follow the protocol of pymavlink's generated
-classes, so that the generated codec packs and decodes them; tests compare them with mavgen's
-output.
+holds RANGING_BEACON (513) in addition to all of `common`. Added are our RADIO_RANGING and
+TARGET_ESTIMATE (`radio_ranging.xml`: change the XML and this file together), ArduPilot's
+EKF_STATUS_REPORT, and COMMAND_CANCEL, which pymavlink 2.4.50 lacks. They follow the protocol of
+pymavlink's generated classes, so that the generated codec packs and decodes them; tests compare
+them with mavgen's output.
 
 Source: MAVLink developer guide, "Serialization" (order of fields); MAVLink common,
 POSITION_TARGET_TYPEMASK and COMMAND_CANCEL; ArduPilot dialect, EKF_STATUS_REPORT.

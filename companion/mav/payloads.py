@@ -1,4 +1,4 @@
-"""Fields of payloads beside pymavlink: target ids, identified plans, parameter values.
+"""Fields of payloads, read without pymavlink: target ids, identified plans, parameter values.
 
 Target ids of a frame are read from its bytes: a router need neither decode nor trust it.
 

@@ -217,7 +217,7 @@ class _FitProblem:
 
 @dataclass(frozen=True, slots=True)
 class Waves:
-    """Harmonics that are fitted beside mount and lag."""
+    """Harmonics that are fitted together with mount and lag."""
 
     has_angle: bool = False
     has_heading: bool = False

@@ -221,7 +221,7 @@ def record_radios(
 def _authenticity(
     config: CompanionConfig, vehicle: FlightLink, clock: Clock, stack: ExitStack
 ) -> Authenticity:
-    """Return the authenticity of the vehicle's link, which no other companion may use meanwhile."""
+    """Return the authenticity of the vehicle's link, which no other companion may use as well."""
     name = link_name(vehicle.transport)
     state = state_directory(config.process.state_directory, os.environ)
     lock = VehicleLock(state, name, config.vehicle.system_id)

@@ -39,7 +39,7 @@ class CellOptions(Params, frozen=True):
     multipath_sigma_m: Metres = 20.0
     """Sigma of the site's detours, in quadrature to the step's own; 10 to 50 m are usual."""
     offset_steps: Annotated[float, msgspec.Meta(ge=-100.0, le=MOST_STEPS)] = 0.0
-    """Steps that the station reports of a phone beside its antenna: the delay of its radio."""
+    """Steps that the station reports of a phone next to its antenna: the delay of its radio."""
     name: Literal["rnti", "none"] = "rnti"
     """Name of the emitter: the station's number for the phone, which changes with each attach;
     `none`: any phone that answers is the configured emitter."""

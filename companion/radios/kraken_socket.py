@@ -47,7 +47,7 @@ BEST_RATIO = 3.0
 
 
 class KrakenSocketOptions(KrakenOptions, frozen=True):
-    """Settings of the socket beside those of every KrakenSDR."""
+    """Settings of the socket in addition to those of every KrakenSDR."""
 
     token: Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9]{0,128}$")] = ""
     """Token from `KRAKEN_API_TOKEN` or the file `api_token` of the receiver; empty if none."""

@@ -6,7 +6,7 @@ A CSV file has a row per answer of an emitter, in any order, with the columns `t
 counter-clockwise from east. Optional are `agent_z_m` (the target's height is then estimated),
 `own_sigma_m` (standard deviation per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw
 that the bearings were turned by), and `target_x_m` and `target_y_m`, which only serve to compute
-the error of the estimate. Values for a whole walk may stand in the JSON object beside it
+the error of the estimate. Values for a whole walk may stand in the JSON object next to it
 (`walk.json` of `walk.csv`) under the same two names.
 """
 
@@ -228,14 +228,14 @@ def result_of(tracker: TargetTracker, target_id: str, rows: int, now_s: float) -
 
 
 class WalkAccuracy(msgspec.Struct, frozen=True):
-    """Accuracy of all positions of a walk, from the JSON object beside it."""
+    """Accuracy of all positions of a walk, from the JSON object next to it."""
 
     own_sigma_m: NonNegative | None = None
     own_yaw_sigma_rad: NonNegative | None = None
 
 
 def stated_accuracy(path: Path) -> WalkAccuracy:
-    """Return the accuracy in the JSON file beside a walk; none without such a file."""
+    """Return the accuracy in the JSON file next to a walk; none without such a file."""
     beside = path.with_suffix(".json")
     try:
         return msgspec.json.decode(beside.read_bytes(), type=WalkAccuracy)

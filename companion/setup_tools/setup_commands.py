@@ -4,9 +4,9 @@ Sources of the autopilot's settings: the parameter references of PX4 1.15 and Ar
 docs/px4.md and docs/ardupilot.md. `companion doctor` reads the values back and explains them.
 
 Files are written or removed all together, or none of them. Every file is made and checked in a
-folder of its own, and then moved into its place. An earlier file there is kept beside it, under its
-name and `.before-setup`, and comes back with `--remove`. `setup.json` lists the written files, with
-checksums, so that no file is deleted that was changed since.
+folder of its own, and then moved into its place. An earlier file there is kept next to it, under
+its name and `.before-setup`, and comes back with `--remove`. `setup.json` lists the written files,
+with checksums, so that no file is deleted that was changed since.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ def _record(directory: Path) -> SetupRecord | None:
 
 
 def _keep_what_was_there(path: Path, files: Mapping[str, str]) -> list[Path]:
-    """Keep a file that no setup wrote, or that was changed since, beside; return its copies."""
+    """Keep a file that no setup wrote, or that was changed since, next to it; return its copies."""
     if not path.exists() or files.get(str(path.absolute())) == _sum(read_file(path)):
         return []
     before = path.with_name(path.name + BEFORE)
@@ -286,7 +286,7 @@ def _next(choices: Choices, directory: Path, arguments: argparse.Namespace) -> l
 
 
 def options(choices: Choices) -> str:
-    """Return the options of the command line beside the configuration."""
+    """Return the options of the command line besides the configuration."""
     words = ["--connect", choices.connect]
     if choices.ranging is not None:
         words += ["--ranging", choices.ranging]

@@ -177,7 +177,7 @@ class WebProcess:
     def update(
         self, now_s: float, picture: Callable[[], Mapping[str, object]], *, may_send: bool = True
     ) -> list[OperatorCommand]:
-        """Send a picture if one is due and may be sent; return the buttons pressed meanwhile."""
+        """Send a picture if one is due and may be sent; return the buttons pressed since then."""
         if self._is_over:
             return []
         if self._restart_s is not None:

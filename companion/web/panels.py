@@ -1,4 +1,4 @@
-"""The panels beside the map (words, numbers, ages, lists), and the curves over time."""
+"""The panels next to the map (words, numbers, ages, lists), and the curves over time."""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 Theory of operation. Physics advances in steps of 20 ms up to the time of the timer, and every
 message is built at a step, so a run depends on its scenario, seed and inputs only. A timer that
 comes more than half a second late (a suspended process) skips the steps it missed: no burst of
-stale telemetry, and the vehicle has not moved meanwhile. On invented time this is lockstep: nothing
-moves until the caller says what time it is.
+stale telemetry, and the vehicle has not moved in between. On invented time this is lockstep:
+nothing moves until the caller says what time it is.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
 asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`). A link with one peer, as a

@@ -91,7 +91,7 @@ class Failsafe(PilotMode, frozen=True, tag="failsafe"):
 
 
 class PilotSticks(IncidentRecord, frozen=True, tag="pilot_sticks"):
-    """The pilot moves the sticks; the transmitter is heard meanwhile."""
+    """The pilot moves the sticks; the transmitter is still received."""
 
     forward: Deflection = 0.5
     right: Deflection = 0.0
@@ -101,7 +101,7 @@ class PilotSticks(IncidentRecord, frozen=True, tag="pilot_sticks"):
 
 
 class RcLoss(IncidentRecord, frozen=True, tag="rc_loss"):
-    """The transmitter is not heard, and the autopilot knows."""
+    """The transmitter is not received, and the autopilot reports that."""
 
     pulses: tuple[Deflection, Deflection, Deflection, Deflection] | None = None
     """Failsafe position that the receiver outputs: roll, pitch, throttle, yaw; None: no pulses."""
@@ -160,7 +160,7 @@ class WindChange(IncidentRecord, frozen=True, tag="wind"):
 
 
 class VehicleReboot(IncidentRecord, frozen=True, tag="vehicle_reboot"):
-    """The autopilot restarts: motors off, nothing heard or said meanwhile, its clock at zero."""
+    """The autopilot restarts: motors off, nothing received or sent, its clock at zero."""
 
     down_s: NonNegative = 1.0
 

@@ -1,4 +1,4 @@
-"""Other senders beside the vehicle: its radio payload, components, and a second ground station.
+"""Other senders besides the vehicle: its radio payload, components, and a second ground station.
 
 The radio payload measures the emitters and sends what it heard. A radio that integrates, averages
 or buffers reports late: what it sends and stamps now it measured `lag_s` ago, at the position and
@@ -72,8 +72,8 @@ IDENTITIES: Mapping[ComponentName, Identity] = {
     ),
     "autopilot": Identity(2, mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4),
 }
-"""Identity of each component; `companion` sends setpoints beside, as a second one of ours does, and
-`autopilot` is a second flight controller of the same vehicle."""
+"""Identity of each component; `companion` sends setpoints in parallel, as a second one of ours
+does, and `autopilot` is a second flight controller of the same vehicle."""
 HEARTBEAT_S, STREAM_S = 1.0, 0.1
 
 

@@ -166,7 +166,7 @@ class Scenario(Params, frozen=True):
     incidents: tuple[Incident, ...] = ()
     """Incidents with their times, in any order."""
     other_vehicles: tuple[OtherVehicle, ...] = ()
-    """Other vehicles in the air with their own companions, heard beside this one."""
+    """Other vehicles in the air with their own companions, heard besides this one."""
     vehicles: VehicleCount = 1
     """Number of these vehicles in one process."""
     position_noise_m: NonNegative = 0.0

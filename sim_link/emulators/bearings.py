@@ -276,7 +276,7 @@ def spectrum_of(theta_deg: float, confidence: float, rng: np.random.Generator) -
 
 
 class KrakenSocket(Kraken):
-    """Frames of directions, the band beside each, and how the antennas stand."""
+    """Frames of directions, the band with each, and how the antennas stand."""
 
     name = "kraken_ws"
     title = "KrakenSDR suite of 2026, web socket"

@@ -69,7 +69,7 @@ class WifiScan(LineEmulator):
 
 
 class BleScan(LineEmulator):
-    """`btmon` beside a scan of Bluetooth advertisements."""
+    """`btmon` during a scan of Bluetooth advertisements."""
 
     name = "ble_scan"
     title = "BlueZ btmon, advertisements"

@@ -124,7 +124,7 @@ def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
 
 
 class Trek1000(RangeLines):
-    """Anchor 0 of a kit and its tags, whole millimetres; raw reports beside the corrected."""
+    """Anchor 0 of a kit and its tags, whole millimetres; raw reports next to the corrected."""
 
     name = "trek1000"
     title = "Decawave TREK1000, mc reports"

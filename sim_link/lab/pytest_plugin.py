@@ -176,7 +176,7 @@ def sim_vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]
     """Start a `sim-link` process; yield its link, for `--connect`.
 
     `@pytest.mark.sim_vehicle(scenario="calm.yaml", seed=3, autopilot="ardupilot", speed=4)` says
-    what it flies; the scenario is looked for beside the test.
+    what it flies; the scenario is looked for next to the test.
     """
     from companion.io.child_processes import HOST, ChildProcess, free_udp_port
 

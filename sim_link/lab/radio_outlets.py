@@ -1,4 +1,4 @@
-"""Outlets of an emulated radio beside serial lines, UDP and TCP: stdout, HTTP, web sockets.
+"""Outlets of an emulated radio besides serial lines, UDP and TCP: stdout, HTTP, web sockets.
 
 A web socket's client is sent what every client is sent first, and the frames from then on. A radio
 that is polled serves one document, its latest; until there is one, and for any other path

@@ -1,6 +1,6 @@
 """Observed behaviour of real autopilots, as rows that tests play.
 
-`observed.yaml` beside each flavour has the rows. A row describes the real vehicle's behaviour, and
+`observed.yaml` next to each flavour has the rows. A row describes the real vehicle's behaviour, and
 has either `steps`, which `test_observed.py` plays against the flavour, a test of its own
 (`proved_by`), or `deliberate`: the reason why the simulator differs.
 """

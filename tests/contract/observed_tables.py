@@ -1,6 +1,6 @@
 """Prints the observed behaviour of real autopilots, and where the simulator differs, as tables.
 
-`observed.yaml` beside each flavour has the rows, which `tests/contract/test_observed.py` plays.
+`observed.yaml` next to each flavour has the rows, which `tests/contract/test_observed.py` plays.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """An example of each built-in radio's bytes, and the settings that its decoder needs for it.
 
-`python -m tests.contract.radio_streams NAME` writes the readings of NAME's stream beside it: read
+`python -m tests.contract.radio_streams NAME` writes the readings of NAME's stream next to it: read
 them, as they are what the contract asks for from then on.
 """
 

@@ -1,7 +1,7 @@
 """Flights on a busy computer: real processes at real time, one without and one with a load.
 
 The longest gap of the setpoint stream is the one that the simulator saw, between two setpoints that
-came in OFFBOARD. It is as busy as the companion, whose own lateness of a tick stands beside it.
+came in OFFBOARD. It is as busy as the companion, whose own lateness of a tick is printed with it.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class _Sender(threading.Thread):
 
 
 class _Radio:
-    """A MAVLink radio beside the payload: honest measurements of all emitters in turn."""
+    """A MAVLink radio besides the payload: honest measurements of all emitters in turn."""
 
     def __init__(self, telemetry: socket.socket, seed: int) -> None:
         self._telemetry = telemetry
@@ -214,7 +214,7 @@ def _start(folder: Path, seed: int, load: Load, telemetry_port: int) -> ProcessF
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """A flight under a load beside one without it."""
+    """A flight under a load and one without it."""
 
     quiet: Flown
     loaded: Flown

@@ -36,7 +36,7 @@ def run(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package of the page, installed beside this environment."""
+    """The package of the page, installed next to this environment."""
     folder = tmp_path_factory.mktemp("acme")
     for name, text in files_of(PAGE.read_text()).items():
         (folder / name).write_text(text)

@@ -106,7 +106,7 @@ class Process:
 
 
 class Rig:
-    """A vehicle, an emulated radio beside it, and a companion that reads the radio."""
+    """A vehicle, an emulated radio next to it, and a companion that reads the radio."""
 
     def __init__(self, directory: Path, format_: Format, to: str, at: str) -> None:
         self.directory, self.format, self.to, self.at = directory, format_, to, at

@@ -1,4 +1,4 @@
-"""`companion setup` beside a running vehicle: files written and examined, settings listed."""
+"""`companion setup` next to a running vehicle: files written and examined, settings listed."""
 
 from __future__ import annotations
 

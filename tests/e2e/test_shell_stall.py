@@ -1,4 +1,4 @@
-"""The shell after a stall: what came meanwhile is taken in before it acts."""
+"""The shell after a stall: what arrived during it is taken in before it acts."""
 
 from __future__ import annotations
 

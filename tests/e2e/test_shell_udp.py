@@ -175,7 +175,7 @@ def test_a_send_that_the_system_refuses_is_counted(
 def test_a_socket_whose_network_is_gone_is_opened_again_on_its_port(
     peer: socket.socket, monkeypatch: pytest.MonkeyPatch, is_bound: bool
 ) -> None:
-    """The first socket loses its interface, and the port is taken for a moment meanwhile."""
+    """The first socket loses its interface, and the port is taken for a moment."""
     made: list[socket.socket] = []
 
     class Interface(socket.socket):

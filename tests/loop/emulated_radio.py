@@ -1,4 +1,4 @@
-"""A flight whose radio prints what a real one would, beside RADIO_RANGING of the same draws."""
+"""A flight whose radio prints what a real one would, along with RADIO_RANGING of the same draws."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", CELLS)
 def test_a_cell_whose_ranges_come_in_steps_promises_no_more_than_it_keeps(name: str) -> None:
-    """Ten flights: at most one finds no end, no report is beside its R95."""
+    """Ten flights: at most one finds no end, no report misses its R95."""
     format_ = as_flown(FORMAT_OF[name])
     found = []
     for seed in CELL_SEEDS:

@@ -1,4 +1,4 @@
-"""The companion's process is killed in flight and started again, beside PX4 and ArduPilot."""
+"""The companion's process is killed in flight and started again, on PX4 and ArduPilot."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ Results = Iterator[tuple[str, object]]
 
 
 def losses() -> Results:
-    """The loss family at and beside its knots."""
+    """The loss family at and near its knots."""
     for k_long, k_short in ((1.5, math.inf), (1.5, 1.5), (math.inf, math.inf), (1.0, 3.0)):
         u = [-50.0, -3.0, -1.5, -1e-9, 0.0, 0.3, 1.5, 1.5000001, 200.0]
         for function in (

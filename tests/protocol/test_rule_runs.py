@@ -115,7 +115,7 @@ class Mischief(SetpointClient, ParameterRules):
 
     @book.rule("this test")
     def flies_far(self) -> None:
-        """It flies, which is stopped or goes wrong meanwhile."""
+        """It flies, which is stopped or fails."""
         self.change(self.integer_name, 1.0)
         self.take_off()
         self.run(20.0)

@@ -1,4 +1,4 @@
-"""Cost of a filter update, beside filterpy's extended Kalman filter on the same measurements.
+"""Cost of a filter update, and of filterpy's extended Kalman filter on the same measurements.
 
 The measurements are range and bearing of one run of the canonical lawnmower. All filters process
 them from the same first fix, one after the other in many rounds, so that other load on the machine
@@ -110,7 +110,7 @@ def print_filters(rounds: int = ROUNDS) -> None:
 
 
 def verdicts_of(compiled_us: dict[str, float] | None, plain_us: dict[str, float]) -> list[str]:
-    """Return each cost with a limit beside its peer's, from costs in microseconds."""
+    """Return each cost with a limit next to its peer's, from costs in microseconds."""
     found = []
     for way, costs_us, name, peers, limit in (
         ("compiled", compiled_us, LOOP, (FILTERPY_PREDICT, FILTERPY_UPDATE), 0.1),

@@ -2,9 +2,9 @@
 
 A search in lockstep, by real bytes and an invented clock: 1 to 16 emitters at 10 Hz each, all
 measured at the same moment or evenly over the period, in flight and on the ground. Every call of
-the endpoint (a datagram, the control tick, estimation beside it) is timed by the thread's own time,
-so that other programs on the machine do not count. A setpoint can leave between two calls: the
-longest call is the longest that a due setpoint waits.
+the endpoint (a datagram, the control tick, estimation in between) is timed by the thread's own
+time, so that other programs on the machine do not count. A setpoint can leave between two calls:
+the longest call is the longest that a due setpoint waits.
 
 Each case runs in a process of its own, with kernels that `companion warm-up` compiled, as a flight
 does: `tools/benches/tick_bench.py EMITTERS PHASE STATE SECONDS` prints its figures as JSON. The
@@ -135,7 +135,7 @@ class Timed:
         self.others_s.append(1e-9 * (time.thread_time_ns() - began_ns))
 
     def handle_timer(self, now_s: float) -> None:
-        """Time the control tick, or the task beside it."""
+        """Time the control tick, or the task after it."""
         ticks = getattr(self._endpoint, "ticks", None)  # 1.0.0rc1 has none, and no other task
         began_ns = time.thread_time_ns()
         self._handle(now_s)

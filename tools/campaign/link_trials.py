@@ -261,7 +261,7 @@ REACTIONS = Part(
 )
 FLOODS = Part(
     "forged",
-    "forged, replayed and unsigned frames at 20,000 a second beside genuine traffic",
+    "forged, replayed and unsigned frames at 20,000 a second among genuine traffic",
     run=flood,
     cost_s=3.0,
     base_cost_s=1.5,

@@ -1,4 +1,4 @@
-"""Prints errors of the field radios along their flights beside the best possible accuracy.
+"""Prints errors of the field radios along their flights and the best possible accuracy.
 
 It is the Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the
 vehicle's position and height about their current value, and the priors of offset, height and

@@ -1,4 +1,4 @@
-"""Errors, convergence and honesty of many runs, and the Cramer-Rao bound beside them.
+"""Errors, convergence and honesty of many runs, and the Cramer-Rao bound next to them.
 
 A measurement is y = (h_r(x) + delta_r, h_b(x) + delta_b) + e. One draw decides for range and
 bearing together whether the path is obstructed, so the joint density of the errors is the mixture

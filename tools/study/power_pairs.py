@@ -1,4 +1,4 @@
-"""Flights by ranges alone, and by ranges with the received power beside them, in pairs.
+"""Flights by ranges alone, and by ranges with the received power as well, in pairs.
 
 Both flights of a pair meet the same emitter, walls, wind and noise: a phone that answers Wi-Fi
 round-trip requests, as in the field study. One is configured by the radio's preset, the other also

@@ -1,4 +1,4 @@
-"""Search planners beside each other in one world: time until the emitter is heard.
+"""Search planners side by side in one world: time until the emitter is heard.
 
 The vehicle is a point that flies straight to the planner's waypoints at constant speed; emitters
 are drawn from the POA. The world is that of `searched_area`, unknown to the planners. Stone-Soup's

@@ -1,11 +1,11 @@
-"""Cost of a step of filter and planner, beside the cost that the paper prints.
+"""Cost of a step of filter and planner, compared with the cost that the paper prints.
 
 Each system flies a case once. That run, its positions and its measurements, is then retraced
 repeatedly: the filter processes each measurement and the planner decides, while the track stays the
 recorded one, so that nothing is timed but the two of them. Systems alternate; a figure is the
 median over the rounds, per step. On a busy machine a turn of the scheduler is as long as a few
 hundred steps; they are therefore timed by processor time, which equals wall time on an idle
-machine. `tools/bench.py filters` has filterpy's update beside the companion's.
+machine. `tools/bench.py filters` has filterpy's update next to the companion's.
 
 The system that solves the whole run at intervals (`map`) has no cost per step of its own: its run
 is timed as the studies do it, the simulation included.

@@ -117,7 +117,7 @@ def spatial_noises(
 ) -> SpatialNoises:
     """Return the spatial noise of every modality; None: its errors are white.
 
-    It is that of the residuals of `scores`, beside the radio's parameters. `prior` (k, k) is the
+    It is that of the residuals of `scores`, given the radio's parameters. `prior` (k, k) is the
     information of the state's prior.
     """
     thresholds = params.thresholds.tolist()

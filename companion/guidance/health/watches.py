@@ -7,7 +7,7 @@ vehicle holds, and a single measurement does not end that: some must agree first
 vehicle position that was lost must be back for a while, with the mode reported again, before
 control continues: an input that returns for a moment is often lost again.
 
-HOLD, RESUME, RETURN and GRANT of the operator, beside the mode switch, are answered with a text:
+HOLD, RESUME, RETURN and GRANT of the operator, besides the mode switch, are answered with a text:
 accepted, or refused with the reason. Views ask for the objection beforehand, so that a button
 without effect is grey and shows the reason.
 """

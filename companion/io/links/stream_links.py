@@ -4,7 +4,7 @@ A TCP port listens for one client, or for several. A client is a peer by its add
 is a byte stream of its own, so that an endpoint keeps the unfinished frames of different clients
 apart.
 
-Theory of operation of a program. The shell runs it in a session of its own. A second shell beside
+Theory of operation of a program. The shell runs it in a session of its own. A second shell next to
 it reads a pipe from this process and ends the whole session when the pipe closes, which happens
 when the link closes and also when this process is killed. The last line of its standard error says
 why it ended. A program that ends is run again, later if it ended at once, whatever it printed; one

@@ -13,7 +13,7 @@ frames are lost with the rest. So on Linux a classic BPF program on the socket, 
 privilege, drops datagrams by source address and port as they arrive.
 
 There the kernel also stamps each datagram with its arrival, so that reading them later does not
-make them younger. Its clock may be set meanwhile: a stamp counts only between the last look that
+make them younger. Its clock may be set in between: a stamp counts only between the last look that
 found nothing more and now.
 
 Source: Linux kernel documentation, "Linux Socket Filtering" and "Timestamping".
@@ -363,7 +363,7 @@ async def resolve(name: str, host: str, port: int) -> Address:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):
             address = None
-        with suppress(RuntimeError):  # the loop ended meanwhile
+        with suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(settle, address)
 
     threading.Thread(target=look_up, name="resolve", daemon=True).start()

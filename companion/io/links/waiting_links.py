@@ -87,7 +87,7 @@ class WaitingLink(Link):
 
     def _call(self, data: bytes) -> None:
         assert self._loop is not None
-        with suppress(RuntimeError):  # the loop ended meanwhile
+        with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._take, data)
 
     def _take(self, data: bytes) -> None:

@@ -187,7 +187,7 @@ class PlanRules:
     """True if a mission changes as a whole, at the end of its upload; otherwise it is cut at
     MISSION_COUNT and overwritten item by item."""
     is_one_at_a_time: bool = False
-    """True if a second partner may not upload the same plan meanwhile."""
+    """True if a second partner may not upload the same plan at the same time."""
     can_be_cancelled: bool = True
     waits_for_ack: bool = True
     """True if a download lasts until the client's MISSION_ACK, and items are given only during

@@ -115,4 +115,4 @@ BASE_MODE_FLAGS: dict[FlightMode, int] = {
     **dict.fromkeys((FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED), STICK_FLAGS),
     **dict.fromkeys((FlightMode.MANUAL, FlightMode.ACRO), MANUAL_FLAGS),
 }
-"""Flags of a mode beside CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""
+"""Flags of a mode besides CUSTOM_MODE_ENABLED; modes not listed are automatic (OFFBOARD apart)."""

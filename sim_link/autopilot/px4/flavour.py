@@ -3,7 +3,7 @@
 Theory of operation. Two modes are kept apart, as in PX4's commander: the *intention*, which an
 operator chose, and the *mode* that is flown. They differ only during a failsafe: the mode is the
 reaction, the intention is what it was. When the failsafe ends by itself (setpoints return), the
-intention is flown again without any command; when the operator chooses a mode meanwhile, that
+intention is flown again without any command; when the operator chooses a mode before then, that
 choice replaces the intention and ends the failsafe.
 
     event                               | condition                 | result

@@ -144,7 +144,7 @@ class RuleRun:
 
     @property
     def problems(self) -> list[str]:
-        """Return problems to report beside the outcomes."""
+        """Return problems to report besides the outcomes."""
         return self._silences + self.left_behind
 
     def run(self, rules: Iterable[Rule]) -> None:

@@ -232,7 +232,7 @@ class Station:
         return len(self.inbox)
 
     def listen(self, duration_s: float) -> list[Heard]:
-        """Advance the time; return the messages received meanwhile."""
+        """Advance the time; return the messages received until then."""
         mark = self.mark
         self.run(duration_s)
         return self.inbox[mark:]

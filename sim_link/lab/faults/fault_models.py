@@ -66,7 +66,7 @@ class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
 
     share: Share = 0.1
     copies: Count = 1
-    """Number of copies beside the frame itself."""
+    """Number of copies besides the frame itself."""
     spread_s: NonNegative = 0.1
     """Copies come up to this much later."""
 

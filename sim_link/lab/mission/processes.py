@@ -47,7 +47,7 @@ PERIOD_S = 0.1
 
 
 class Hub:
-    """An `Endpoint` between vehicle, companion and, if there is one, a radio beside the vehicle.
+    """An `Endpoint` between vehicle, companion and, if there is one, a radio besides the vehicle.
 
     `watch` is called with every frame with its link and the time, `delivered` of what goes to the
     companion; `tick` is called every 0.1 s; after `stop` the mission calls `finish`.

@@ -167,7 +167,7 @@ class ExpectationVerdict:
     name: str
     is_met: bool
     found: str
-    """Result, beside the expected one."""
+    """Result, next to the expected one."""
 
 
 def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerdict, ...]:

@@ -54,7 +54,7 @@ class Bound(Params, frozen=True):
 
 
 def _one_given(record: Params, what: str) -> str:
-    """Return the one key of a record that is given, beside its name.
+    """Return the one key of a record that is given, besides its name.
 
     `ValueError`: not exactly one is.
     """

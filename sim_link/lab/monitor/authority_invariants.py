@@ -70,7 +70,7 @@ class OnlyWithAuthority(Invariant):
     _is_launching = False
 
     def started(self) -> None:
-        """Forbid a process started beside a flying vehicle to take it by itself."""
+        """Forbid a process started next to a flying vehicle to take it by itself."""
         self._was_ours, self._given_s = False, -1.0
         self._free()
         self._may_engage = not self.scene.is_flying

@@ -378,7 +378,7 @@ class FlownFence:
 
 @dataclass(slots=True)
 class FencesInForce:
-    """The fences that hold beside that of the configuration, and the one that is being read."""
+    """The fences that hold besides that of the configuration, and the one that is being read."""
 
     fences: list[tuple[float, FlownFence]] = field(default_factory=list)
     """Each with the time when it was complete, in the order of that; equal ones once."""

@@ -21,7 +21,7 @@ TOLERANCE_M = 0.02
 LATE_TICK_S = 0.2
 """Longest time between ticks for which the setpoint may move in proportion."""
 HERE_M = 1.5
-"""Largest distance of "here" from the newest vehicle position, beside its motion meanwhile."""
+"""Largest distance of "here" from the newest vehicle position, besides its motion since then."""
 STILL_M = 0.02
 
 

@@ -54,7 +54,7 @@ def open_points(case: Case) -> list[tuple[str, str, str]]:
 
 
 FIGURES = "figures"
-"""Folder of the figures, beside the page."""
+"""Folder of the figures, next to the page."""
 SHOWN_VERSIONS = ("numpy", "scipy", "numba", "filterpy", "matplotlib")
 UNKNOWN = "unknown"
 GIT_LIMIT_S = 5.0

@@ -3,8 +3,8 @@
 Definitions of the metrics, and numbers as they are written:
 
     final_rmse_m         after the last step; bound: the Cramer-Rao RMSE bound of the same tracks
-    median_final_m       median over runs of the error after the last step, beside every RMSE
-    diverged_runs        runs that end farther off than the paper's 2.5 m, beside every RMSE
+    median_final_m       median over runs of the error after the last step, next to every RMSE
+    diverged_runs        runs that end farther off than the paper's 2.5 m, next to every RMSE
     steps_to_2.5m        one more than the last step with an RMSE of at least 2.5 m; bound: that of
                          the bound's own curve
     rmse_after_N_steps_m after N steps; bound: at the same step

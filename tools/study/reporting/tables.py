@@ -100,7 +100,7 @@ WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max
 BY_RMSE = frozenset({"final_rmse_m", "steps_to_2.5m"})
 """Metrics that one diverged run decides."""
 FOLDED = frozenset({"worst_final_m", "median_final_m", "diverged_runs"})
-"""Metrics shown beside the final RMSE instead of in a separate table."""
+"""Metrics shown next to the final RMSE instead of in a separate table."""
 OPEN = WITHIN | {"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step", "reported", "coverage"}
 """Metrics whose tables are unfolded at first."""
 

@@ -9,11 +9,11 @@ name of the CSV should begin with that of the preset's kind (`uwb`, `rtt`), by w
 `tools/verify_estimation.py --only walks` finds the preset.
 
     librsf   text files of libRSF (TU Chemnitz; its indoor set is CC BY-SA 4.0): lines of `range2`,
-             time (s), range (m), variance, anchor's x and y, its number; beside it the file with
+             time (s), range (m), variance, anchor's x and y, its number; next to it the file with
              the truth, lines of `point2`, time, x, y
     rtt      tables of the Wi-Fi set of H. Yu (MIT): a row per scan, for every access point `APn RTT
-             Distance (m)`, a time stamp in ms, and the position as `[x, y]`; beside it the table of
-             access points, `,x,y`
+             Distance (m)`, a time stamp in ms, and the position as `[x, y]`; next to it the table
+             of access points, `,x,y`
 
 Exit code 2: bad input, or a file that cannot be written.
 """

@@ -77,7 +77,7 @@ class Batch:
 
     @classmethod
     def of(cls, rows: Sequence[WalkRow], params: FilterParams) -> Batch:
-        """Return the measurements of one target beside the preset's assumptions."""
+        """Return the measurements of one target with the preset's assumptions."""
         measured = [row.measurement for row in rows]
         agent = np.array([row.agent_enu_m for row in rows])
         ranges = np.array([m.range_m for m in measured], dtype=float)

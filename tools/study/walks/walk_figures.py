@@ -2,7 +2,7 @@
 
 A claim is the tracker's estimate at each tenth of the measurements of a target. A claim of
 *localised* holds if the truth is within its R95. If two positions are stated, the error of the
-better one is printed beside that of the best: only a walk to the side decides between them.
+better one is printed next to that of the best: only a walk to the side decides between them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CONFIGS = Path(__file__).resolve().parents[3] / "configs" / "companion"
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """Estimate of a target at one time, beside the truth."""
+    """Estimate of a target at one time, with the truth."""
 
     state: EstimateState
     error_m: float
@@ -47,7 +47,7 @@ class Claim:
 
     @classmethod
     def of(cls, estimate: TargetEstimate, truth_enu_m: tuple[float, float]) -> Claim:
-        """Return an estimate beside the truth."""
+        """Return an estimate with the truth."""
         error_m = better_m = math.dist(estimate.position_enu_m, truth_enu_m)
         if estimate.alternative_enu_m is not None:
             better_m = min(error_m, math.dist(estimate.alternative_enu_m, truth_enu_m))

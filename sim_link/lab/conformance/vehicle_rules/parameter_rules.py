@@ -33,7 +33,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(f"{SERVICE} (streams are paced)")
     def list_is_paced(self) -> None:
-        """The list does not come in one burst, and the heartbeat continues meanwhile."""
+        """The list does not come in one burst, and the heartbeat continues."""
         found = self.read_all()
         moments = len(set(self.times(mav.ParamValue, self.asked)))
         assume(len(found) >= 20, "too few parameters to judge")

@@ -203,7 +203,7 @@ class FenceRules(PlanClient):
 
     @book.rule(f"{SERVICE}, Geofence")
     def exclusions_survive(self) -> None:
-        """Areas to stay out of come back as such, beside one to stay in."""
+        """Areas to stay out of come back as such, next to one to stay in."""
         (inside,) = self.circle()
         (hole,) = self.circle(10.0)
         circle = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION

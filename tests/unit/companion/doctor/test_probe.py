@@ -1,4 +1,4 @@
-"""The doctor beside the simulated autopilots: it finds what is there, and changes nothing."""
+"""The doctor on the simulated autopilots: it finds what is there, and changes nothing."""
 
 from __future__ import annotations
 

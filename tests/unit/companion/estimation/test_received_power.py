@@ -1,4 +1,4 @@
-"""Received power as a measurement: alone, beside ranges, and what it must not do."""
+"""Received power as a measurement: alone, with ranges, and what it must not do."""
 
 from __future__ import annotations
 

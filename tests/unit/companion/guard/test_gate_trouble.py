@@ -56,7 +56,7 @@ class TestAVehicleInTrouble:
         assert anew == Guarded(fast.position_enu_m, (GuardReason.TOO_FAST,))
 
     def test_a_setpoint_in_the_margin_comes_in_while_a_fast_vehicle_brakes(self) -> None:
-        """A wind keeps the vehicle beside it, nearer to the border than it stands."""
+        """A wind keeps the vehicle off it, nearer to the border than it stands."""
         fast = motion((96.0, 2.0, 30.0), (1.0, 8.0, 0.0))
         last = Guarded((96.0, -1.0, 30.0))
         for tick in (1, 2, 3):

@@ -1,4 +1,4 @@
-"""Errors of the estimator and the planner, and what is flown meanwhile."""
+"""Errors of the estimator and the planner, and the flight during them."""
 
 from __future__ import annotations
 

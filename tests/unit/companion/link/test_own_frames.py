@@ -215,7 +215,7 @@ def test_in_control_the_id_stays_and_it_is_said() -> None:
 
 
 def beside_in_offboard(wire: Wire) -> None:
-    """A second in control beside MAVROS."""
+    """A second in control next to MAVROS."""
     wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
     wire.bytes(MavCodec(1, 191).encode(MAVROS_HEARTBEAT))
     for _ in range(20):

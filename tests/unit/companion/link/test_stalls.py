@@ -27,7 +27,7 @@ def in_control() -> Wire:
 
 
 def speak(wire: Wire, seconds: float) -> list[Message]:
-    """Positions and modes come; what is sent meanwhile."""
+    """Positions and modes come; the frames sent until then."""
     sent: list[Message] = []
     for _ in range(round(seconds / 0.05)):
         sent += wire.say(wire.position())

@@ -1,4 +1,4 @@
-"""A companion endpoint with the parts that a process puts beside it, on invented time."""
+"""A companion endpoint with the parts that a process adds to it, on invented time."""
 
 from __future__ import annotations
 

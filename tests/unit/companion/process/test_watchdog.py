@@ -30,7 +30,7 @@ class Rig:
         self._wall_s = 100.0
 
     def pass_time(self, duration_s: float, *, is_ticking: bool = True) -> list[str]:
-        """Let time pass; return what the service manager receives meanwhile."""
+        """Let time pass; return what the service manager receives until then."""
         heard: list[str] = []
         for _ in range(round(duration_s / 0.05)):
             self._wall_s += 0.05

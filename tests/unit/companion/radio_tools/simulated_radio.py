@@ -96,7 +96,7 @@ class Course:
     step_s: float = 0.05
 
     def stay(self, seconds: float, turn_rad: float = 0.0) -> None:
-        """Stand, and turn evenly meanwhile."""
+        """Stand, turning evenly."""
         count = max(1, round(seconds / self.step_s))
         for _ in range(count):
             self.positions.append(self.positions[-1])

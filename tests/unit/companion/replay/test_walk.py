@@ -280,7 +280,7 @@ def test_a_place_that_is_not_on_the_earth_is_refused_by_its_line(
 
 
 def test_what_is_stated_of_the_positions_narrows_the_radius(tmp_path: Path) -> None:
-    """By column, by the JSON object beside the walk, by the caller, who has the last word."""
+    """By column, by the JSON object next to the walk, by the caller, who has the last word."""
     params = load_config(ROOT / "configs/companion/uwb.yaml").tracking
     silent = write_walk(tmp_path / "silent.csv", circle())
     column = write_walk(tmp_path / "column.csv", [{**row, "own_sigma_m": 0.05} for row in circle()])

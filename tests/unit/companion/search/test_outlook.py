@@ -1,4 +1,4 @@
-"""Forecast of a leg beside the state of the search after it was flown."""
+"""Forecast of a leg against the state of the search after it was flown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other vehicles of a scenario beside ours on the links of one process."""
+"""Other vehicles of a scenario next to ours on the links of one process."""
 
 from __future__ import annotations
 

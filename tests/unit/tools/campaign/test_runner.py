@@ -158,7 +158,7 @@ def test_a_rate_of_false_losses_is_judged_over_hours() -> None:
 
 @pytest.mark.slow
 def test_an_interruption_does_not_wait_for_what_still_runs() -> None:
-    """The trial that runs beside the first one would take an hour."""
+    """The trial that runs along with the first one would take an hour."""
     days = [Trial("soak", seed, 1000.0) for seed in range(3)]
 
     def interrupt(_: TrialOutcome) -> None:

@@ -298,7 +298,7 @@ def test_the_session_launches_px4_and_engages() -> None:
 def test_a_launch_without_control_in_offboard_stays_at_one_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A fence has changed meanwhile; a setpoint that followed the drift would lead it on."""
+    """A fence has changed since then; a setpoint that followed the drift would lead it on."""
     flight = launching()
     flight.position_enu_m = (0.0, 0.0, 20.0)
     flight.mode = FlightMode.HOLD

@@ -1,4 +1,4 @@
-"""HOLD, RESUME, RETURN and GRANT, beside the mode switch; each press is answered."""
+"""HOLD, RESUME, RETURN and GRANT, besides the mode switch; each press is answered."""
 
 import pytest
 

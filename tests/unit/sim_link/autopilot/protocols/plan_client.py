@@ -55,7 +55,7 @@ class Client:
         return self.plans.handle(received(message, partner), partner, self.now_s)
 
     def wait(self, duration_s: float, step_s: float = 0.01) -> list[tuple[float, Outgoing]]:
-        """Let time pass; return the messages meanwhile, with their times."""
+        """Let time pass; return the messages until then, with their times."""
         heard = []
         end_s = self.now_s + duration_s
         while self.now_s < end_s - 1e-9:
