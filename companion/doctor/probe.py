@@ -297,7 +297,7 @@ class DoctorProbe(OneShotEndpoint):
 
 
 MANY_REFUSED = 0.2
-"""Share of refused messages from which they are a finding."""
+"""Share of refused messages above which they are a finding."""
 LATE_S = 0.5
 BESIDE = "emitter 1 m from the antenna: companion radio calibrate --beside 1"
 CALIBRATE = "companion radio calibrate, with the emitter at a known position"

@@ -41,7 +41,7 @@ RAY_DISTANCES_M = tuple(3.0 * 1.8**index for index in range(RING_COUNT // 3))
 """Distances of the hypotheses along a bearing, metres: from 3 m, nearer than which a direction is
 hardly flown past, to 184 m. With a radial sigma of 0.35 of the distance they overlap."""
 AMBIGUOUS_PROBABILITY = 0.05
-"""Probability of a second hypothesis from which the estimate is ambiguous: R95 leaves out 5 %."""
+"""Probability of a second hypothesis above which the estimate is ambiguous: R95 leaves out 5 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -212,7 +212,7 @@ class TrackIntegrity:
         self._restarts_s: deque[float] = deque(maxlen=2)
         """Latest resets, as many as forbid guidance on the estimate."""
         self._recovered_at = 0
-        """Accepted measurements from which the estimate is trusted again."""
+        """Number of accepted measurements after which the estimate is trusted again."""
         self.reset()
 
     def reset(self) -> None:

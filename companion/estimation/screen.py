@@ -163,7 +163,7 @@ class FrozenValue:
 
     def __init__(self, least_m: float = FROZEN_M) -> None:
         self._least_m = least_m
-        """Motion of the vehicle from which equal values are frozen."""
+        """Motion of the vehicle after which equal values are frozen."""
         self._value: float | None = None
         self._since_s = 0.0
         self._since_enu_m: PositionEnu = (0.0, 0.0, 0.0)

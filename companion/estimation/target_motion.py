@@ -88,7 +88,7 @@ class MotionWatch:
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
         self._near_m = 3.0 * localised_r95_m
-        """R95 up to which the target is tested; a vaguer one shows nothing."""
+        """Largest R95 at which the target is tested; a vaguer one shows nothing."""
         most = 512  # a longest span of 40 s at 12 Hz, and as many as a window has
         self.fresh: deque[Vector] = deque(maxlen=most)
         """Measurements since the test was last due by time, in rows of `map_kernels` that have

@@ -19,7 +19,7 @@ class EstimationConfig(Params, frozen=True):
     """The recursive filter; the others are baselines."""
     filter: FilterConfig = FilterConfig()
     localised_r95_m: Distance = 2.0
-    """R95 up to which the state is `localised`."""
+    """Largest R95 at which the state is `localised`."""
 
     def params(self) -> TrackerParams:
         """Return the parameters of a tracker with this configuration."""

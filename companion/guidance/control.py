@@ -23,11 +23,11 @@ TICK_S = 0.05
 20."""
 HEARTBEAT_PERIOD_S = 1.0
 READY_AGAIN_S = 3.0
-"""Length of an interruption up to which it is not announced each time."""
+"""Longest interruption that is not announced each time."""
 UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
 TRACK_STEP_M = 0.5
-"""Distance from the logged position up to which none is logged: a hover wanders by as much."""
+"""Largest distance from the logged position at which none is logged: a hover wanders by as much."""
 SILENCE_S = 0.3
 """Longest pause of the setpoints after which they continue; after a longer one the first setpoint
 is the vehicle's position, because it may have moved."""

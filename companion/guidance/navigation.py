@@ -220,7 +220,7 @@ def _forbidden_by(fence: Fence, position_enu_m: Point) -> str:
 
 
 CLIMB_FIRST_M = 1.0
-"""Distance below the altitude band from which the vehicle climbs before it moves horizontally."""
+"""Distance below the altitude band beyond which the vehicle climbs before it moves horizontally."""
 
 
 class Steering:

@@ -59,7 +59,7 @@ def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | 
 MODE_UNKNOWN_AFTER_S = 10.0
 """Time without a HEARTBEAT after which control is unknown: stop, so that its failsafe acts."""
 MAX_MODE_AGE_S = 1.0
-"""Age from which a reported mode is out of date."""
+"""Age above which a reported mode is out of date."""
 DOUBT_TIMEOUT_S = 5.0
 """Time after which another mode may be requested of a vehicle that still reports ours."""
 MAX_STAMPED = 256
@@ -139,7 +139,7 @@ MIN_STEP_M = 0.05
 MAX_HOME_DISTANCE_M = 1e5
 """Longest distance of home from the origin; a longer one is a fault of one of the two."""
 ORIGIN_STEP_M = 1.0
-"""Step of an origin from which the local frame has moved as well."""
+"""Step of an origin above which the local frame has moved as well."""
 
 
 class VehicleView:

@@ -161,10 +161,10 @@ LAST_RETRY_S = 16.0
 LOOK_PERIOD_S = 0.2
 """Interval of checks while nothing is missing."""
 MISSED_PERIODS = 3.0
-"""Silence of a stream, in periods, after which it has stopped, and mean interval from which it is
+"""Silence of a stream, in periods, after which it has stopped, and mean interval above which it is
 slow."""
 HEARTBEAT_LATE_S = 3.0
-"""Age from which a HEARTBEAT is requested by itself: its period is one second, and most autopilots
+"""Age above which a HEARTBEAT is requested by itself: its period is one second, and most autopilots
 do not change it."""
 HEARTBEAT_AGAIN_S = 0.25
 """Interval of those requests: where every other frame is lost, one in four is answered, and ten

@@ -36,7 +36,7 @@ from companion.mav.dialect import Message, mavlink
 WRAP_S = 2**32 / 1000.0
 """Period of `time_boot_ms`, 49.7 days."""
 AHEAD_S = 3.0
-"""Lead of a stamp from which it is of another clock, or one that slipped: no delay makes it
+"""Lead of a stamp above which its clock is another one, or slipped: no delay makes it
 early."""
 LATE_S = 10.0
 """Longest delay on a link that also delivers promptly."""

@@ -246,7 +246,7 @@ class LinkAlarms:
 RADIO_LOOK_S = 0.5
 """Interval of checks."""
 QUIET_S = 2.0
-"""Silence of a radio from which it is shown."""
+"""Silence of a radio above which it is shown."""
 RATE_WINDOW_S = 5.0
 """Span over which rates are measured."""
 REFUSAL_TEXTS_PER_S = 1.0 / CAUSE_PERIOD_S

@@ -73,11 +73,11 @@ DIRECTIONS_TRIED = 5
 HEIGHT_SHARE = 0.5
 """Tolerance of a crossing's height, as a share of the swing."""
 LONG_ENOUGH_SHARE = 0.9
-"""Share of its overshoot from which a crossing is not cut short."""
+"""Share of its overshoot beyond which a crossing is not cut short."""
 TURN_SHARE = 0.25
 """Earliest begin of a turn before the end, as a share of the overshoot."""
 DESCENT_GAIN = 1.5
-"""Ratio of information rates from which a lower pass is flown: descent and climb take time."""
+"""Ratio of information rates above which a lower pass is flown: descent and climb take time."""
 LEAST_DESCENT_M = 1.0
 """Smallest descent that is commanded."""
 BEND_RAD = math.radians(55.0)

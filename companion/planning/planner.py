@@ -96,7 +96,7 @@ class Planner(Protocol[Memory]):
 SLACK_M = 1e-6
 """Excess of a leg's margin, so that a guard with the same margin never stops it."""
 START_TOLERANCE_M = 0.01
-"""Distance outside free space from which a leg may begin: rounding, and a guard without slack."""
+"""Distance outside free space up to which a leg may begin: rounding, and a guard without slack."""
 FARTHEST_BEYOND_M = 100.0
 """Largest distance that a point is pushed beyond a keep-out about the target."""
 NO_ROOM = "the fence, the keep-outs and the margin leave no room"

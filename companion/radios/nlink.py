@@ -47,8 +47,8 @@ class NlinkOptions(Params, frozen=True):
     """Properties of the signals that the frames lack."""
 
     nlos_gap_db: Positive | None = None
-    """Excess of the received power over the first path from which it is not in line of sight; null:
-    not judged."""
+    """Excess of the received power over the first path above which it is not in line of sight;
+    null: not judged."""
     behind_fp_dbm: float | None = None
     """Power of the first path below which the signal is from behind the antennas, and its angle is
     dropped."""

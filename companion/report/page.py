@@ -56,7 +56,7 @@ LEAST_M = 1e-3
 MAX_EVENTS = 500
 """Rows of the table of events; the event log has all."""
 QUICK_BYTES = 3_000_000
-"""Size of an event log, a quarter of an hour, up to which a report takes well under a second."""
+"""Largest event log, a quarter of an hour, whose report takes well under a second."""
 
 LINK_WORDS = {
     "loss": "share of frames lost",

@@ -184,7 +184,7 @@ def sector_name(grid: SearchGrid, cells: Bools) -> str:
 
 Probability = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
 GOOD_POD = 0.8
-"""POD from which an area counts as searched."""
+"""POD above which an area counts as searched."""
 
 
 ReachSource = Literal["configured", "preset"]

@@ -122,7 +122,7 @@ JOYSTICK_TIMEOUT_S = 0.5
 MOVED = 0.3
 """Deflection that takes over from an automatic mode (PX4 COM_RC_STICK_OV, 30 %)."""
 DEAD_ZONE = 0.1
-"""Deflection up to which a stick counts as released (PX4 MPC_HOLD_DZ)."""
+"""Largest deflection at which a stick counts as released (PX4 MPC_HOLD_DZ)."""
 
 
 @dataclass(frozen=True, slots=True)

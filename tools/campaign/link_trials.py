@@ -110,7 +110,7 @@ def hold_over(seed: int, share: float, duration_s: float) -> tuple[Monitored, Ga
 
 POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 STALE_S, LOST_S, TICK_S = 0.5, 1.0, 0.05
-"""Age from which a position is not flown on, silence from which a link is lost, and the tick that
+"""Age above which a position is not flown on, silence after which a link is lost, and the tick that
 decides both, s."""
 STILL_M = 0.02
 BLIND_S = 3.0

@@ -175,7 +175,7 @@ def _tally_of(outcomes: Mapping[int, TrialOutcome]) -> CampaignTally:
 
 
 ENOUGH_HOURS = 5.0
-"""Hours from which on a rate of rare events is judged as a rate."""
+"""Number of hours above which a rate of rare events is judged as a rate."""
 JUDGED_LOSS = "30_pct"
 PROMISED = (
     "missions",

@@ -33,7 +33,7 @@ WRONG_BY_DB = 10.0
 FADING_SIGMA_DB = 4.0
 """Standard deviation of fading from frame to frame: 3 to 6 dB."""
 WORSE_BY_CHANCE = 0.05
-"""Probability up to which the number of worse flights is not explained by chance."""
+"""Largest probability at which the number of worse flights is not explained by chance."""
 change = msgspec.structs.replace
 
 

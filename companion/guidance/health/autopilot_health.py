@@ -123,7 +123,7 @@ class BatteryWatch(Watch):
 
 
 DOUBT_S = 1.0
-"""Longest trouble reported by an estimator from which it recovers by itself."""
+"""Longest trouble reported by an estimator after which it recovers by itself."""
 GOOD_S = 1.0
 """Time without trouble until the estimator counts as good again."""
 PATIENCE_S = 5.0

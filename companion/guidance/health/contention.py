@@ -40,7 +40,7 @@ from companion.guidance.commands import StickReaction
 from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 
 TOLERANCE_M = 1.5
-"""Distance from our path up to which an echo is ours: PX4 smooths, and floats are rounded."""
+"""Largest distance from our path at which an echo is ours: PX4 smooths, and floats are rounded."""
 MEMORY_S = 30.0
 """Memory of our path: ArduPilot echoes a target for ever, and we do not know older ones of ours."""
 GRACE_S = 2.0

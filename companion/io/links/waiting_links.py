@@ -266,7 +266,7 @@ RETRY_S = 1.0
 BINARY = 0x82
 """First byte of a whole binary frame."""
 SHORT, MEDIUM = 126, 1 << 16
-"""Sizes from which on the length has two and eight bytes of its own."""
+"""Sizes from which the length has two and eight bytes of its own."""
 
 
 def on_the_wire(message: str | bytes) -> bytes:

@@ -41,7 +41,7 @@ BEST_OF = 16
 MAX_ROUND_TRIPS = 128
 """Largest number of stored round trips, prompt and delayed."""
 SLOWER_S = 0.010
-"""Excess over the shortest round trip from which an exchange is ignored."""
+"""Excess over the shortest round trip above which an exchange is ignored."""
 DEVIATION_S = 0.05
 """Deviation from the prediction that, with five sigma, shows another clock."""
 RESET_AFTER = 5
@@ -61,7 +61,7 @@ BUSY = 0.03
 """Rate of an unknown clock, one sigma: the clock of a simulated autopilot depends on its computer's
 load. Also used after two surprising exchanges to the same side."""
 SIGNIFICANT = 4.0
-"""Sigmas from which a rate is significant."""
+"""Number of sigmas above which a rate is significant."""
 OFFSET_NOISE_S = 1e-5
 """Random walk of the offset, per root second."""
 EXCHANGE_SIGMA_S = 5e-4
@@ -74,7 +74,7 @@ sent."""
 MEDIAN_OF_CHORD = 0.6745 * math.sqrt(1.5)
 """Median distance of a normal value from the mean of two others, in sigma."""
 KNOWN_SIGMA_S = 0.02
-"""Standard deviation up to which the offset is known."""
+"""Largest standard deviation of a known offset."""
 PROMPT_S = 1.0
 """Longest round trip of a prompt answer, which shows that the link is not slow."""
 PROMPT_WITHIN_S = 3.0

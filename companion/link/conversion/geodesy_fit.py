@@ -27,9 +27,9 @@ PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
 FEWEST_PAIRS = 20
 """Minimum number of pairs before a fit is used: ten seconds of them."""
 LEAST_OFF_M = 0.1
-"""Difference up to which positions agree."""
+"""Largest difference of positions that agree."""
 RENEW_OFF_M = 0.05
-"""Change of the current position from which a fit is renewed."""
+"""Change of the current position above which a fit is replaced."""
 EXPLAINED_M = 0.03
 """Root mean square difference below which a projection is the autopilot's."""
 FARTHEST_OFF_M = 200.0

@@ -44,7 +44,7 @@ CONFIRM_S = 0.3
 CONFIRM_STAMPS = 3
 """Stamps of a new clock before it is accepted."""
 BACKWARD_S = 0.1
-"""Step back up to which a stamp is only reordered."""
+"""Largest step back by which a stamp is only reordered."""
 CONFIRM_JITTER_S = 1.0
 """Tolerated jitter of the new clock's stamps before it is accepted."""
 WRAP_S = 2**32 / 1000.0
@@ -60,7 +60,7 @@ LATE_CONFIRM_S = 1.0
 RUN_WINDOW_S = 2.0
 """Span in which a clock's gain is summed."""
 MAX_GAIN_S = 1.0
-"""Gain of a clock on ours within that span from which it is unusable.
+"""Gain of a clock on ours within that span above which it is unusable.
 
 Every gain also looks like a link that has become faster, so it must exceed any delay; a clock at
 twice the speed is detected after a second.
@@ -92,7 +92,7 @@ FEWEST_BUCKETS = 4
 STRAIGHT_S = 0.010
 """Largest distance of the minima of a steady clock from their line."""
 SIGNIFICANT = 4.0
-"""Uncertainties from which a rate is significant."""
+"""Number of uncertainties above which a rate is significant."""
 
 
 @dataclass(slots=True)

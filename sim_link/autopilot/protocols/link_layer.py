@@ -114,7 +114,7 @@ MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
 """Maximum number of channels of one component; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
-"""Step back of a time since boot from which its sender restarted; less is a frame that was
+"""Step back of a time since boot above which its sender restarted; less is a frame that was
 overtaken."""
 WRAP_MS = 2**32
 MAX_WRAP_GAP_MS = 60_000

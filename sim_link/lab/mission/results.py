@@ -326,7 +326,7 @@ def how_flown(speed: float | None, connect: str | None) -> str:
 
 
 BUSY_S = 0.2
-"""Wait of a process for its turn from which setpoints and positions are lost."""
+"""Wait of a process for its turn above which setpoints and positions are lost."""
 
 
 @dataclass(frozen=True, slots=True)

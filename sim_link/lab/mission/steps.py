@@ -56,7 +56,7 @@ ASK_AGAIN_S = 2.0
 ARRIVED_M = 0.5
 """Distance below its height at which a takeoff may end."""
 LIFTED_M = 0.3
-"""Height from which a vehicle has begun to take off."""
+"""Height above which a vehicle has begun to take off."""
 ROUNDING_S = 1e-9
 
 

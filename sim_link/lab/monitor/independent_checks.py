@@ -160,7 +160,7 @@ SILENCE_S = 3.0
 TICK_S = 0.05
 """Control period of the companion, which looks for a silence at its ticks, s."""
 EARLY_S, LATE_S = 3.0, 10.0
-"""Lead on the vehicle's clock, and lag behind it, from which a stamp is of another clock, s."""
+"""Lead on the vehicle's clock, and lag behind it, above which a stamp is from another clock, s."""
 SAME_CLOCK_S = 1.0
 """Agreement required of the clock of another address without a hardware id, s."""
 YOUNG_S = 5.0

@@ -14,7 +14,7 @@ from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, Observed
 from sim_link.lab.observer import Frame
 
 STREAM_BREAK_S = 0.35
-"""Pause from which a new stream begins, which starts where the vehicle is."""
+"""Pause after which a new stream begins, which starts where the vehicle is."""
 SHARE = 1.05
 TOLERANCE_M = 0.02
 """Rounding on the wire, and ticks that are not exactly a period apart."""

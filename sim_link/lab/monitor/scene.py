@@ -54,7 +54,7 @@ class Rules(Params, frozen=True):
     silence_s: Positive = 10.0
     """Time without a HEARTBEAT after which control is unknown: the companion may fall silent."""
     stall_s: Positive = 0.5
-    """Lateness of a control tick from which heartbeat and setpoints must have stopped."""
+    """Lateness of a control tick above which heartbeat and setpoints must have stopped."""
     sent_frames_per_s: Positive = 150.0
     sent_bytes_per_s: Positive = 15_000.0
     records_per_s: Positive = 60.0
