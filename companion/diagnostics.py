@@ -1,7 +1,7 @@
 """Health of the process: diagnostics of it and its links, service manager, watchdog, priority.
 
 Diagnostics. Memory, descriptors, threads and processor time are read from /proc where there is one,
-otherwise as far as the standard library provides them. A link that refuses frames is reported; a
+otherwise where the standard library provides them. A link that refuses frames is reported; a
 refused frame is not sent again: the next control tick sends a newer one.
 
 Service manager (`sd_notify`). It is notified that the process is ready, alive or stopping, and of

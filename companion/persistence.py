@@ -10,7 +10,7 @@ is widened on the ground only. An orderly end deletes the files, unless the vehi
 in mid-mission.
 
 Parameters that a ground station changed are kept next to them, and are restored at the next start
-as far as the configuration's rules allow.
+if the configuration's rules allow it.
 
 A flight that is killed leaves what it had searched half a minute before; these files are made on a
 thread of their own.

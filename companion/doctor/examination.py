@@ -126,7 +126,7 @@ NEEDED_ESTIMATES = {
     "horizontal position": 8 | 16,
     "height": 32 | 64,
 }
-"""Bits of ESTIMATOR_STATUS_FLAGS, of which EKF_STATUS_FLAGS has the same; one of each will do."""
+"""Bits of ESTIMATOR_STATUS_FLAGS and EKF_STATUS_FLAGS, which are the same; one of each will do."""
 ENOUGH_SHARE = 0.8
 """Minimum share of the requested rate."""
 NOTICED_LOSS, MUCH_LOSS = 0.02, 0.30

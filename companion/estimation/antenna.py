@@ -73,7 +73,7 @@ def antenna_axes_enu(attitude_rad: Triple, mount_deg: Triple) -> Axes:
 def seen_in_enu(
     measurement: RangingMeasurement, attitude: Attitude | None, antenna: AntennaParams
 ) -> RangingMeasurement:
-    """Return the measurement with its direction in the local frame, as far as that is known.
+    """Return the measurement with its direction in the local frame, where that is known.
 
     It takes the attitude at the time of measurement; an azimuth about the vertical needs its yaw
     alone. With `auto` it is filled in as an azimuth and as a planar array's. Outside the field of
@@ -132,7 +132,7 @@ def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
 
 
 def _off_boresight_rad(m: RangingMeasurement, antenna: AntennaParams) -> float:
-    """Return the angle from the boresight, as far as the antenna reports it."""
+    """Return the angle from the boresight, by the angles that the antenna reports."""
     assert m.bearing_body_rad is not None
     if antenna.kind != "two_axis" or m.elevation_rad is None or _has_absurd_angle(m):
         return abs(m.bearing_body_rad)

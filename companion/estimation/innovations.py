@@ -341,7 +341,7 @@ class InnovationNoise:
 
     @classmethod
     def starting(cls, initial_inflation: float, rows: int = MODALITIES) -> InnovationNoise:
-        """Return the noise of a model with so many rows before the first innovation."""
+        """Return the noise of a model with this number of rows before the first innovation."""
         return cls((NoiseMonitor(initial_inflation),) * rows)
 
     def after(self, report: UpdateReport, thresholds: Matrix) -> InnovationNoise:

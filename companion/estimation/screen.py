@@ -202,7 +202,7 @@ class SampleHistory:
 
 
 class RecentShare:
-    """Share of the latest measurements, or of values of one kind, of which something is true."""
+    """Share of the latest measurements, or of values of one kind, for which something is true."""
 
     def __init__(self) -> None:
         self._window: deque[tuple[float, bool]] = deque()

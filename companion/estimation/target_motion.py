@@ -8,8 +8,8 @@ velocity v is tested with the sandwich covariance C of the second fit, in which 
 longer noise: v^T C^-1 v is chi-square with 2 degrees of freedom for a stationary target. The larger
 of the white and the correlated covariance is used, because reflections that change with the
 vehicle's position are correlated; and the decrease of the cost must be as significant, because a
-fit that ended in another minimum does not lower it. The vehicle position drifts, as far as its
-reported accuracy says, and the target seems to move with it: the variance of that is added to C.
+fit that ended in another minimum does not lower it. The vehicle position drifts within its
+reported accuracy, and the target seems to move with it: the variance of that is added to C.
 
 The estimate stays unchanged, and the operator is informed: a reflection that changes with the
 vehicle's position, behind a building for example, looks the same from one side, and no threshold

@@ -177,7 +177,7 @@ class TargetTracker:
         return report
 
     def _check(self, at_s: float) -> Steps[None]:
-        """Check the estimate by its window, and the target for motion, as far as that is due."""
+        """Check the estimate by its window, and the target for motion, where that is due."""
         if self.hypotheses and self.accepted >= self._optimizer.due_at:
             yield 0
             yield from while_same(self.optimize.steps(), lambda: self._moves)

@@ -307,7 +307,7 @@ class Guard:
         return up_m + climb_mps * step.dt_s, climb_mps
 
     def _permitted(self, step: _Step, fence: Fence) -> Point:
-        """Return the end of the straight line to the goal, as far as it may be flown."""
+        """Return the end of the straight line to the goal that may be flown."""
         limits, home, charge_pct = self.limits, step.motion.home_enu_m[:2], step.motion.battery_pct
         start, (east, north, _) = step.start, step.goal_enu_m
         wanted = (

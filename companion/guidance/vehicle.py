@@ -106,7 +106,7 @@ class ModeWatch:
         return self._reported is not None and not (self._is_silent(now_s) or self.is_in_doubt)
 
     def may_request_mode(self, now_s: float) -> bool:
-        """Return True if a requested mode cannot override a pilot, as far as is known."""
+        """Return True if a requested mode cannot override a pilot, to our knowledge."""
         if self.is_known(now_s):
             return True
         shown = self._reported

@@ -80,7 +80,7 @@ class RadioBytes(msgspec.Struct, frozen=True, tag="bytes", tag_field="kind"):
 
 
 class TimedPose(msgspec.Struct, frozen=True, tag="pose", tag_field="kind", omit_defaults=True):
-    """Position and attitude of the vehicle at a time, as far as the autopilot reported them."""
+    """Position and attitude of the vehicle at a time, those that the autopilot reported."""
 
     t_s: float
     enu_m: PositionEnu

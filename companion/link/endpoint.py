@@ -371,7 +371,7 @@ class CompanionEndpoint:
             self._commands.receive(message, now_s, may_grant=may_grant)
 
     def _note_other_command(self, message: Message, now_s: float) -> None:
-        """Report a station's flight command, as far as the autopilot forwards it."""
+        """Report a station's flight command, if the autopilot forwards it."""
         is_here = self.binding.is_bound and message.get_srcSystem() != self.outlet.own_ids[0]
         if not (is_here and isinstance(message, AddressedCommand)):
             return

@@ -88,7 +88,7 @@ def exchange_sign_of(message: Message) -> Sign | None:
     """Return the clock in a TIMESYNC answer, to us or another component.
 
     It may differ from the clock of `time_boot_ms`. A sender of nothing else answers our requests,
-    so this detects two vehicles of which one is nearly silent.
+    so this detects two vehicles even if one is nearly silent.
     """
     if isinstance(message, mavlink.MAVLink_timesync_message) and message.tc1 > 0:
         return Sign(message.tc1 / 1e9)

@@ -20,7 +20,7 @@ equally accurate at any height: it is the paper's, and crosses as above.
 
 On a straight approach from afar a range has no information across it, and an array's directions are
 limited by their offsets. With ranges and an array, the approach is a logarithmic spiral: always
-`BEND_RAD` to the side, as far as the field of view allows, until the position is known as well as
+`BEND_RAD` to the side, within the field of view, until the position is known as well as
 the shortest overshoot requires, or near. It turns the line of sight by tan(bend) log 2 per halving
 of the distance, and is 1 / cos(bend) as long as the straight path.
 

@@ -86,7 +86,7 @@ class Blocked:
 
 @dataclass(slots=True)
 class Calibration:
-    """Result of a calibration; a refused part is included as far as it got, with its refusal."""
+    """Result of a calibration; a refused part is included up to its refusal."""
 
     radio: str
     emitter_id: int

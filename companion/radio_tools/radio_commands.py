@@ -137,7 +137,7 @@ class WatchingEndpoint(OneShotEndpoint):
         self._next_line_s = LINE_S
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Decode received bytes as far as a flight would."""
+        """Decode received bytes as a flight would."""
         super().receive(chunk, now_s)
         if not self._budgets[chunk.link].spend_raw(len(chunk.data)):
             return

@@ -5,7 +5,7 @@ low 8 bits of the sum of all bytes before it. Its length must fit the number of 
 well, because one sum in 256 is right by chance, and because bytes that are no frame are then
 rejected without waiting.
 
-Angles are the device's: of two antennas, so arcsines, and counter-clockwise, as far as is known, so
+Angles are the device's: of two antennas, so arcsines, and counter-clockwise, to our knowledge, so
 that `bearing_sign` is -1. Frames with measurements of other nodes, or with nothing that a range can
 be made of, are counted and skipped; so are those of TOFSense lasers (0x57), byte by byte.
 """

@@ -9,7 +9,7 @@ before the flight, so that a taken port is an error at once, and kept, so that b
 next child.
 
 The collector receives the events of the flight log, so no value is measured twice; its lists are
-bounded. Track, curves and searched area are not in every picture, of which any may be lost: the
+bounded. Track, curves and searched area are not in every picture, and any picture may be lost: the
 collector has them all, and a picture carries the part that the page lacks.
 """
 

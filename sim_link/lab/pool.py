@@ -55,7 +55,7 @@ FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
 """Greeting of a dask scheduler, the number of its handshake's frames, and the largest such
 number."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that are 1 in processes of which there are as many as cores."""
+"""Variables that are 1 in processes when there is one per core."""
 
 ROOT, PACKAGES = (
     Path(__file__).resolve().parents[2],
@@ -63,7 +63,7 @@ ROOT, PACKAGES = (
 )
 """Sources that results depend on; the last two exist in a checkout only."""
 LIBRARIES = ("numpy", "scipy", "numba", "filterpy")
-"""Libraries of which another version may round differently."""
+"""Libraries whose other versions may round differently."""
 
 
 class WorkerLostError(CompanionError):

@@ -56,7 +56,7 @@ def until(is_so: Callable[[], bool], process: Process) -> None:
 
 @contextmanager
 def dask_cluster(folder: Path, workers: int, **environment: str) -> Iterator[DaskCluster]:
-    """A scheduler and so many workers of one thread."""
+    """A scheduler and this number of workers of one thread."""
     path = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
     where = ["--scheduler-file", str(path)]

@@ -1,4 +1,4 @@
-"""Edits and commands of which the steps of recipes consist."""
+"""Edits and commands that make up the steps of recipes."""
 
 from __future__ import annotations
 

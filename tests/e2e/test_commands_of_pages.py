@@ -1,4 +1,4 @@
-"""Commands that pages have for copying do what they are for, as far as they need no vehicle."""
+"""Commands that pages have for copying do what they are for, if they need no vehicle."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Tampered:
 
 
 class DeafRecording:
-    """Output of an endpoint without input, recorded as far as it is read."""
+    """Output of an endpoint without input, recorded until it is read."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint

@@ -129,7 +129,7 @@ class TargetFilter(Protocol):
 
 
 POWER_SIGMA_DB = 4.5
-"""Standard deviation of fast fading, of which a radio averages little: the middle of 3 to 6 dB."""
+"""Standard deviation of fast fading, little of it averaged by a radio: the middle of 3 to 6 dB."""
 POWER_SHADOW_SIGMA_DB, POWER_LENGTH_M = 6.0, 30.0
 """Standard deviation of shadowing, the middle of 4 to 8 dB, and its correlation length: 10 m in
 rubble to 100 m in the open (M. Gudmundson, Electronics Letters 27, 1991)."""

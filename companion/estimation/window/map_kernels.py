@@ -2,7 +2,7 @@
 
 Rows are [east, north, up, range, bearing, elevation, range sigma, bearing sigma, elevation sigma,
 sequence number], NaN where nothing was measured, followed by the two axes of an antenna array, and
-by power, its sigma and its weight, as far as the model has them (`measurement_model`). Residuals
+by power, its sigma and its weight, if the model has them (`measurement_model`). Residuals
 are whitened and laid out modality by modality, (m, n), with the m modalities of the model; missing
 measurements have residual zero and a zero row of partials, so that they contribute nothing. A
 Gaussian prior 1/2 x^T L x - e^T x is added (paper: eq. (9)). It contains the measurements that left

@@ -103,7 +103,7 @@ def log_ratio(
 def log_ratio_of(
     cost: float, scores: Scores, best: Optimum, spatial_noise: SpatialNoises, own_sigma_m: float
 ) -> float:
-    """Return the log odds of a rival of which only cost and linearised problem are known."""
+    """Return the log odds of a rival from its cost and linearised problem alone."""
     if not is_all_white(spatial_noise):
         contrast = contrast_of(scores, best.scores, spatial_noise, own_sigma_m)
         return contrast.log_ratio(cost - best.cost)

@@ -63,7 +63,7 @@ def shadow_weights(rows: Matrix) -> Vector:
 
     N measurements at one position have the information of one with the variance of the shadow plus
     that of fading over N, so that each has the weight (f^2 + s^2) / (f^2 + N s^2); N counts every
-    other measurement as far as its shadow is correlated.
+    other measurement by the correlation of its shadow.
     """
     has_power = ~np.isnan(rows[:, POWER_VALUE])
     weights = np.ones(len(rows))
@@ -77,7 +77,7 @@ def shadow_weights(rows: Matrix) -> Vector:
 
 
 def shadow_noise(rows: Matrix, scores: Scores, prior: Matrix) -> SpatialNoise:
-    """Return the field of the influences of the rows' powers (n,), of which there are some.
+    """Return the field of the influences of the rows' powers (n,), not all NaN.
 
     Its variance is that of the residuals, with the share that the fit has absorbed, at the 95 %
     quantile of Student's t for the independent shadows that remain. `prior` (k, k) is the

@@ -11,8 +11,8 @@ so that the emitter seems displaced by b(t) - b(now) when it was measured. In to
     W = sum_ij G_i C(t_i, t_j) G_j^T,    C(s, t) = sigma^2 (rho(s - t) - rho(s) - rho(t) + 1)
 
 with G_i = A^-1 H_i^T H_i,position and rho(t) = exp(-|t| / tau), times counted from now. An
-unestimated height and an unknown lag of stamps do appear in residuals, as far as the views differ:
-they are reduced by what the residuals reveal about them.
+unestimated height and an unknown lag of stamps do appear in residuals where the views differ: they
+are reduced by what the residuals reveal.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def shared_errors(
 def _considered(partials: Matrix, scores: Scores, A_inverse: Matrix, prior: Matrix) -> Matrix:
     """Return the effect of parameters with whitened partials (m n, j), each in units of its sigma.
 
-    One Newton step estimates them, and the sandwich of both gives its covariance: as far as the
+    One Newton step estimates them, and the sandwich of both gives its covariance: where the
     residuals determine a parameter, its estimate replaces its prior sigma.
     """
     k, j = len(prior), partials.shape[1]

@@ -15,8 +15,8 @@ part of the shift that they contain is not applied twice.
 For fence and ground it does matter which position was right. Until it is steady the setpoint stays,
 wherever the vehicle seems to be. If it then seems to be so far outside that the way back could lead
 out on the other side, or so much higher that the ground may be where the floor seems to be, the
-vehicle is handed back. The smaller one of the jump and the way back inside may be flown, as far as
-the margin covers it.
+vehicle is handed back. The smaller one of the jump and the way back inside may be flown if the
+margin covers it.
 
 Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, reset of the position.
 """

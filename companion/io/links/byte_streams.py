@@ -194,7 +194,7 @@ class StreamLink(Link):
 
     @property
     def is_connected(self) -> bool:
-        """Return True if there is a peer at the other end, as far as the system knows."""
+        """Return True if there is a peer at the other end, to the system's knowledge."""
         return self._stream is not None
 
     def send(self, chunk: Chunk) -> None:

@@ -238,7 +238,7 @@ class ExecLink(Link):
         return not self._is_closed
 
     async def open(self) -> None:
-        """Run the program; raises a `LinkError` if it is missing, as far as that can be seen."""
+        """Run the program; raises a `LinkError` if it is visibly missing."""
         if not _SHELL_WORDS & set(self._command):
             program = next(iter(shlex.split(self._command)), "")
             if shutil.which(program) is None:

@@ -88,7 +88,7 @@ STREAMS = StreamProfile(
 )
 
 NOT_PASSED_ON = message_ids("RADIO_RANGING TARGET_ESTIMATE EKF_STATUS_REPORT TUNNEL")
-"""Known here, but not to PX4, which cannot check their frames; and TUNNEL, of which none came
+"""Known here, but not to PX4, which cannot check their frames; and TUNNEL, none of which came
 through a PX4 1.16.2."""
 DIALECT = frozenset(CRC_EXTRA_BY_ID).difference(NOT_PASSED_ON)
 

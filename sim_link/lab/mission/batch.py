@@ -189,7 +189,7 @@ class FlightTask:
 
     @property
     def misfit(self) -> str:
-        """Reason why the task cannot be flown, as far as known before it starts; empty: none."""
+        """Reason why the task cannot be flown, if known before it starts; empty: none."""
         if self.connect is not None:
             return vehicle_fault_of(self.mission)
         return self.mission.misfit(self.mission.autopilot.flavour)
@@ -233,7 +233,7 @@ class MissionBatch:
     connect: str | None = None
 
     def tasks(self) -> list[FlightTask]:
-        """Return every flight, checked as far as can be without flying.
+        """Return every flight, checked as well as possible without flying.
 
         CompanionError: one is wrong.
         """

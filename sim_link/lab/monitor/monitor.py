@@ -95,7 +95,7 @@ WIRE = Scope(
 
 
 class FrameMonitor(Observer):
-    """Shows a flight to invariants, as far as frames, journal and the companion's process show it.
+    """Shows a flight to invariants, by its frames, its journal and the companion's process.
 
     The key is that of the link, where it is signed.
     """

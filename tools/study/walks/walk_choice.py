@@ -1,7 +1,7 @@
 """Chooses a preset's keys from recorded walks, leaving out each file in turn.
 
 For every file the variant with the smallest median plus 90th percentile of the final errors on the
-*other* files of its preset is chosen, among those of which at least 94 % of the claims of
+*other* files of its preset is chosen, among those with at least 94 % of the claims of
 *localised* hold there, or else the most; its figures on the left-out file are those to expect on a
 walk that it was not tuned to.
 """

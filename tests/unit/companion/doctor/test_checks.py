@@ -74,7 +74,7 @@ def test_less_room_than_a_flight_may_take_is_fine_if_it_may_take_less() -> None:
 
 
 def without(message: str) -> Facts:
-    """An ArduPilot, of which everything is needed, that does not send one message."""
+    """An ArduPilot that does not send one message, although everything is needed."""
     heard = PX4.heard - {message}
     return autopilot_with(autopilot=Autopilot.ARDUPILOT, heard=heard)
 

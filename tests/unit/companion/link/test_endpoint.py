@@ -95,7 +95,7 @@ def test_standby_setpoints_have_the_rate_the_view_shows() -> None:
 
 
 def fly_over_a_lossy_line(wire: Wire, loss: float, duration_s: float) -> int:
-    """Positions at 50 Hz, of which a share is lost; how many setpoints were sent."""
+    """Positions at 50 Hz, a share of them lost; returns the number of setpoints sent."""
     wire.say(heartbeat(is_armed=True, status=4))
     before, lost = wire.endpoint.outlet.setpoints_sent, 0.0
     for _ in range(round(duration_s / 0.02)):

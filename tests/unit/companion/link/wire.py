@@ -26,7 +26,7 @@ E7 = 10_000_000
 
 
 def link_specs(ranging: int = 0, gcs: int = 0) -> tuple[LinkSpec, ...]:
-    """The vehicle's link, then so many that bring ranging by MAVLink, then ground stations'."""
+    """The vehicle's link, then those that bring ranging by MAVLink, then ground stations'."""
     stations = [LinkSpec(LinkRole.GCS)] * gcs
     return (*VEHICLE_ONLY, *[LinkSpec(LinkRole.RANGING)] * ranging, *stations)
 

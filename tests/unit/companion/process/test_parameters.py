@@ -1,4 +1,4 @@
-"""Parameters that a ground station changed outlive the process, as far as the rules allow."""
+"""Parameters that a ground station changed outlive the process, where the rules allow."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def head(count: int, *, kind: int = 1, address: int = 0) -> bytes:
 
 
 def packets(payload: bytes, piece: int = 255) -> bytes:
-    """A payload in packets of so many bytes."""
+    """A payload in packets of this many bytes."""
     parts = [payload[at : at + piece] for at in range(0, len(payload), piece)]
     last = len(parts) - 1
     return b"".join(

@@ -31,7 +31,7 @@ PERIOD_S = 0.01
 def carried(
     *faults: Fault, count: int = 4000, lane: Lane = Lane.TO_VEHICLE, seed: int = 1
 ) -> list[list[Delivery]]:
-    """Return what arrives of so many datagrams, one every 10 ms."""
+    """Return the arrivals of this number of datagrams, one every 10 ms."""
     link = FaultyLink(Schedule(faults=faults), seed)
     return [link.carry(FRAME, lane, i * PERIOD_S) for i in range(count)]
 

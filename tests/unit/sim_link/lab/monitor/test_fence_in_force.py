@@ -96,7 +96,7 @@ def test_depth_and_ways_of_a_fence(fence: FlownFence, depth_m: float, *, is_clea
 def searched(
     flavour: FlavourName, make: MakeCompanion | None, fence: StationFence, *, policy: str
 ) -> Monitored:
-    """A search of which another station changes the fence, when it has begun."""
+    """A search whose fence another station changes after it has begun."""
     limits = LimitsConfig(fence_enu_m=SQUARE, autopilot_fence=policy)  # type: ignore[arg-type]
     config = CompanionConfig(mission=SessionParams(engage="auto"), limits=limits)
     scenario = Scenario(
