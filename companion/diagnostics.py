@@ -11,7 +11,7 @@ socket never blocks: a manager that does not read loses notifications and costs 
 
 The watchdog is fed only when every part of the process responded: the control tick (it ran since
 the last feed; this code itself runs on its thread), the writers of logs and checkpoints (their
-threads are alive; a disk that hangs is no reason to kill a flight), and the links (open).
+threads are alive; a disk that hangs is not a reason to kill a flight), and the links (open).
 
 Source: sd_notify(3), sd_watchdog_enabled(3); of the rule: NASA F Prime, Svc/Health, HTH-007.
 

@@ -1,6 +1,6 @@
 """Frozen values shared by all packages.
 
-Units are in the names. Positions are local east-north-up metres about the autopilot's EKF origin;
+Units are in the names. Positions are local east-north-up metres from the autopilot's EKF origin;
 `bearing_enu_rad` is counter-clockwise from east; time is float seconds on the companion's monotonic
 axis. A quantity that was not measured is `None`, never NaN.
 

@@ -4,10 +4,10 @@ Theory of operation. Files of an earlier run that did not end in order, readable
 a vehicle may be in the air: then nothing engages by itself, whatever the configuration says. A
 valid checkpoint is given to the session when the autopilot is heard (and has reported its fence, if
 that is the one to keep), and only if vehicle, limits, fence, mission and age match; otherwise the
-flight starts without it, with a line that says why. In the air another fence of the autopilot is no
-mismatch, and its fences of the flight are restored even for another mission, as the guard's fence
-is widened on the ground only. An orderly end deletes the files, unless the vehicle was left armed
-in mid-mission.
+flight starts without it, with a line that says why. In the air another fence of the autopilot is
+not a mismatch, and its fences of the flight are restored even for another mission, as the guard's
+fence is widened on the ground only. An orderly end deletes the files, unless the vehicle was left
+armed in mid-mission.
 
 Parameters that a ground station changed are kept next to them, and are restored at the next start
 if the configuration's rules allow it.
@@ -194,7 +194,7 @@ class RestartKeeper:
         self._endpoint.handle_event(MemoryRecalled(now_s, memory, age))
 
     def _is_of(self, then: MissionKey) -> bool:
-        """Return True if a key is of the bound vehicle."""
+        """Return True if a key belongs to the bound vehicle."""
         now = self._key()
         return (then.system_id, then.autopilot) == (now.system_id, now.autopilot)
 

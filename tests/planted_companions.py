@@ -232,7 +232,7 @@ class Extrapolates(Planted):
 
 
 class SendsNan(Planted):
-    """Now and then a coordinate is no number."""
+    """Now and then a coordinate is not a number."""
 
     invariant = "I6"
 

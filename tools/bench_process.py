@@ -5,8 +5,8 @@
 Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
 and pymavlink (`recv_match`) idle. FOLDER is the output of companion.kernel_builder. Figures
-are of the process after it has settled, while it flies: resident memory and processor time as /proc
-reports them. Flights alternate, one at a time.
+are for the process after it has settled, while it flies: resident memory and processor time as
+/proc reports them. Flights alternate, one at a time.
 """
 
 from __future__ import annotations

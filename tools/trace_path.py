@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = str(ROOT / "companion") + "/"
 END = "TargetTracker.fusion"
 """Function at whose report the path ends: the measurement has moved the estimate, or was refused.
-Between its steps it returns numbers, which is no end.
+Between its steps it returns numbers, which is not the end.
 """
 FROM_S, DURATION_S = 22.0, 5.0
 """The canonical flight searches then, beyond its first crossing."""

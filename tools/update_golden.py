@@ -1,4 +1,4 @@
-"""Renews the digests of the golden flights, after a change that is meant to change them.
+"""Updates the digests of the golden flights, after a change that is meant to change them.
 
     .venv/bin/python -m tools.update_golden [--fly] [NAME ...]
 

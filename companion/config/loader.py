@@ -267,7 +267,7 @@ def _located(text: str, raw: object, kind: type) -> _Problem:
 
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
-    """Return NaN, infinity, underflow, control characters, keys that are no text."""
+    """Return NaN, infinity, underflow, control characters, keys that are not text."""
     if isinstance(value, str) and _UNSHOWN.search(value):
         return [_Problem(path, UNSHOWN)]
     if isinstance(value, float) and not math.isfinite(value):
@@ -418,7 +418,7 @@ def _words_of(kind: Any) -> tuple[object, ...]:
 
 
 def _records(kind: Any, path: str = "") -> Iterator[tuple[str, list[Any]]]:
-    """Yield every record below a type that is no item of a list, with its path."""
+    """Yield every record below a type that is not an item of a list, with its path."""
     for record in _plain(kind):
         for each in getattr(record, "fields", ()):
             inner, key_path = _plain(each.type), f"{path}.{each.encode_name}".removeprefix(".")

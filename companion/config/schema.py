@@ -54,7 +54,7 @@ class LimitsConfig(Params, frozen=True):
     """Limits of every setpoint; metres in the autopilot's local frame, east and north."""
 
     fence_enu_m: tuple[tuple[float, float], ...] = DEFAULT_FENCE
-    """Corners of the fence polygon, about the autopilot's local origin."""
+    """Corners of the fence polygon, relative to the autopilot's local origin."""
     fence_file: str | None = None
     """File with the fence instead, a QGroundControl .plan or a .kml, relative to this file."""
     autopilot_fence: Literal["ignore", "compare", "require", "use"] = "compare"

@@ -1,7 +1,7 @@
 """The version of the configuration's schema, and the migration of files of schema 1.
 
 The number goes up when a key is renamed, moved, removed or changes its meaning; an added key does
-not change it. A file without a version is of the first. Schema 2 is not released yet: until then
+not change it. A file without a version has the first one. Schema 2 is not released yet: until then
 its step takes further changes, afterwards the next schema gets a step of its own in `renew`.
 """
 

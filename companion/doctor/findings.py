@@ -88,7 +88,7 @@ class LinkFacts:
     other_companions: tuple[int, ...]
     """System ids under which another component with the companion's id sent."""
     unfit: tuple[str, ...]
-    """Senders that are no autopilots: ids and kind."""
+    """Senders that are not autopilots: ids and kind."""
     bytes_received: int
     bad_frames: int
     """Frames that failed their checksum or could not be decoded."""

@@ -117,7 +117,7 @@ Loss = Literal["", "north", "array", "arcsine", "view"]
 
 
 def lost_direction(m: RangingMeasurement, antenna: AntennaParams) -> Loss:
-    """Return why a reported angle gives no direction with this antenna; empty if it does."""
+    """Return the reason why an angle gives no direction with this antenna; empty if it does."""
     is_azimuth = antenna.kind in (*ABOUT_VERTICAL, "planar")
     if m.bearing_body_rad is None:
         is_by_north = m.bearing_enu_rad is not None and m.array is None

@@ -58,7 +58,7 @@ class Belief:
     valid."""
 
     def problem(self, size: int) -> str | None:
-        """Return why a tracker with a state of `size` components cannot start from it, or None."""
+        """Return the reason why a state of `size` components cannot start from it, or None."""
         if not 0 < len(self.places) <= MAX_HYPOTHESES:
             return f"{len(self.places)} hypotheses"
         if self.measurements < 0 or not 0 <= (self.emitter_id or 0) <= 0xFFFF:

@@ -109,7 +109,7 @@ class Gate(NamedTuple):
         return self._replace(passes_range=True, passes_bearing=True, passes_power=True)
 
     def joined(self, other: Gate) -> Gate:
-        """Return the combined result of two hypotheses: what either explains is no outlier."""
+        """Return the combined result of two hypotheses: what either explains is not an outlier."""
         return Gate(*(mine or its for mine, its in zip(self, other, strict=True)))
 
     @property

@@ -26,8 +26,8 @@ The rows of bearing and elevation then hold, with R(c) the rotation by the beari
     any other         a . R(c) u   and   b . R(c) u      direction cosines
 
 with noise s on each component. The noise of an azimuth is then s / rho, with rho the length of u in
-the plane of the array: near its normal an azimuth has no information. Where s / rho is no small
-angle, a phase has less information than its variance suggests, by 1 + (s / rho)^2 to a good
+the plane of the array: near its normal an azimuth has no information. Where s / rho is not a
+small angle, a phase has less information than its variance suggests, by 1 + (s / rho)^2 to a good
 approximation (that of a Rician phase).
 
 Obstruction makes a range longer and a signal weaker, never the reverse, so that power has the same

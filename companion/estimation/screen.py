@@ -91,7 +91,7 @@ is.
 def reject_reason_of(
     measurement: RangingMeasurement, now_s: float, params: AcceptanceParams
 ) -> RejectReason | None:
-    """Return why the measurement is invalid by itself; None if it is valid."""
+    """Return the reason why the measurement is invalid by itself; None if it is valid."""
     m = measurement
     bearings = [b for b in (m.bearing_enu_rad, m.bearing_body_rad) if b is not None]
     ranges = [] if m.range_m is None else [m.range_m]
@@ -280,7 +280,7 @@ class MeasurementScreen:
     def admit(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu | None, now_s: float
     ) -> RejectReason | None:
-        """Return why a measurement is invalid or repeated; None if it is valid, and remembered."""
+        """Return the reason to refuse a measurement; None if it is valid and new: remembered."""
         reason = reject_reason_of(measurement, now_s, self._acceptance)
         identity = identity_of(measurement)
         if reason is None and identity in self._recent:
@@ -302,7 +302,7 @@ class MeasurementScreen:
         return reason
 
     def _lost_direction(self, measurement: RangingMeasurement) -> RejectReason | None:
-        """Return why a measured bearing gives no direction; None if it does, or there is none."""
+        """Return the reason why a bearing gives no direction; None if it does, or if absent."""
         antenna = self._params.antenna
         loss = lost_direction(measurement, antenna)
         if measurement.has_direction and loss != "north":

@@ -396,7 +396,7 @@ class TargetTracker:
         return budget_of(estimate, self.hypotheses[0], widths, self._shared, own_sigma_m)
 
     def objection(self, now_s: float) -> Objection | None:
-        """Return why the estimate must not be used for guidance; None if it may be used."""
+        """Return the reason not to use the estimate for guidance; None if it may be used."""
         integrity = self.integrity
         if self._screen.objection is not None:
             return self._screen.objection

@@ -106,7 +106,7 @@ class GeoFence:
 
 
 def corner_problem(latitude_deg: float, longitude_deg: float) -> str | None:
-    """Return why latitude and longitude are not valid for a corner, or None."""
+    """Return the reason why a latitude and longitude are no valid corner, or None."""
     if not (math.isfinite(latitude_deg) and math.isfinite(longitude_deg)):
         return "is not a finite number"
     if latitude_deg == 0.0 and longitude_deg == 0.0:
@@ -119,7 +119,7 @@ def corner_problem(latitude_deg: float, longitude_deg: float) -> str | None:
 
 
 def area_problem(area: GeoArea) -> str | None:
-    """Return why an area encloses no usable space, or None; its corners are already checked."""
+    """Return the reason why an area, its corners checked, encloses no usable space, or None."""
     if area.radius_m is not None:
         if MIN_RADIUS_M <= area.radius_m <= MAX_REACH_M:
             return None

@@ -125,7 +125,7 @@ def is_simple(polygon: Polygon) -> bool:
 
 
 def polygon_problem(polygon: Polygon, least_m2: float) -> str | None:
-    """Return why a polygon does not enclose at least an area, to follow its name, or None."""
+    """Return the reason, to follow its name, why a polygon does not enclose this area, or None."""
     if len(polygon) < 3:
         return "needs at least 3 corners"
     if not all(math.isfinite(value) for corner in polygon for value in corner):

@@ -321,7 +321,7 @@ class SessionContext:
         return self.states.shown(self.estimate, now_s, self.params.ranging_timeout_s)
 
     def plan_now(self, now_s: float) -> None:
-        """Renew the plan; after an error there is no plan, and the vehicle holds."""
+        """Update the plan; after an error there is no plan, and the vehicle holds."""
         setpoint = self.steering.setpoint_enu_m
         try:
             self.send(*self.flight_plan.renew(now_s, self.vehicle, setpoint, self.estimate))

@@ -49,7 +49,7 @@ FAILSAFE_REASON, ID_CONFLICT_REASON, FLAPS_REASON = "failsafe", "id conflict", "
 
 
 class Authority:
-    """The phase, and the two latches that keep the companion from taking control unasked.
+    """The phase, and the two latches that keep the companion from taking control unprompted.
 
     The operator's rule is in docs/flying.md, "Who flies".
     """
@@ -147,9 +147,9 @@ class Authority:
         """Set or clear the latches by the mode that the autopilot reports.
 
         A vehicle found flying in offboard, or in a failsafe, may be flown by another system or left
-        over from a companion that died. Streaming would take over unasked: PX4 re-enters offboard
-        by itself when setpoints return, including ours that a link had buffered. It does so only
-        where a failsafe ended offboard; a mode that was chosen stays.
+        over from a companion that died. Streaming would take over unprompted: PX4 re-enters
+        offboard by itself when setpoints return, including ours that a link had buffered. It does
+        so only where a failsafe ended offboard; a mode that was chosen stays.
         """
         is_offboard = heartbeat.mode is FlightMode.OFFBOARD
         if is_offboard:

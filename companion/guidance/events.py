@@ -306,7 +306,7 @@ class FenceLimits:
     """Fence that the autopilot's parameters define; None: no such limit."""
 
     radius_m: float | None = None
-    """Horizontal limit about home."""
+    """Horizontal limit around home."""
     altitude_max_m: float | None = None
     """Upper limit above home."""
     altitude_min_m: float | None = None

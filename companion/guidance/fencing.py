@@ -16,7 +16,7 @@ fence is compared, and a difference is refused.
 Another station may upload another fence at any time. Until it is downloaded control cannot begin,
 and a vehicle in flight holds inside the known fence. In the air the guard's fence only ever
 shrinks: it is the intersection of all fences that the autopilot has had in this flight, in control
-even where `compare` would refuse a difference. It is widened on the ground. A circle about home
+even where `compare` would refuse a difference. It is widened on the ground. A circle around home
 counts as one of these fences when home moves.
 """
 
@@ -182,7 +182,7 @@ class Fencing:
 
     @property
     def flown(self) -> tuple[GeoFence, ...]:
-        """The autopilot's fences of this flight, the newest first, and the circle about home."""
+        """The autopilot's fences of this flight, the newest first, and the circle around home."""
         return self._flown + self._circle
 
     def recall_flown(self, fences: tuple[GeoFence, ...], limits: FenceLimits | None) -> None:
@@ -264,7 +264,7 @@ class Fencing:
 
     @property
     def _circle(self) -> tuple[GeoFence, ...]:
-        """The circle about home as a fence in the world, if there is one with a known centre."""
+        """The circle around home as a fence in the world, if there is one with a known centre."""
         radius_m, home, origin = self.fence_limits.radius_m, self.home_enu_m, self._origin
         if radius_m is None or home is None or origin is None:
             return ()
@@ -288,7 +288,7 @@ class Fencing:
         self.guard.use(replace(self.plan.limits, fence=usable, envelope=envelope))
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
-        """Return the fence clipped to the autopilot's circle about home, if that intersects it."""
+        """Return the fence clipped to the autopilot's circle around home, if that intersects it."""
         radius_m, home = self.fence_limits.radius_m, self.home_enu_m
         if radius_m is None or home is None:
             return fence
@@ -368,7 +368,7 @@ class Fencing:
         return self.is_in_control and self._difference(theirs) is not None
 
     def _is_circle(self, theirs: GeoFence) -> bool:
-        """Return True if a fence of this flight is the circle about home that holds now."""
+        """Return True if a fence of this flight is the circle around home that holds now."""
         if self._origin is None or theirs.inclusion.radius_m is None:
             return False
         other = theirs.local(self._origin)

@@ -112,7 +112,7 @@ class Launch:
         return self.stage in (Stage.TAKE_OFF, Stage.CLIMB, Stage.PRESTREAM, Stage.OFFBOARD)
 
     def observe(self, heartbeat: HeartbeatReceived, height_m: float | None) -> str | None:
-        """Return why a heartbeat, at a height above home in m, aborts the launch, or None."""
+        """Return the reason why a heartbeat, at a height above home, aborts the launch, or None."""
         if not self.has_asked:
             return None
         if not heartbeat.is_armed:

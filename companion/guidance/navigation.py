@@ -210,7 +210,7 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
 
 
 def _forbidden_by(fence: Fence, position_enu_m: Point) -> str:
-    """Return why the vehicle may not be at an estimated position; empty if it may."""
+    """Return the reason why the vehicle may not be at an estimated position; empty if it may."""
     if fence.allows(position_enu_m):
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)

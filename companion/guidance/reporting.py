@@ -60,7 +60,7 @@ class SettledRule:
     """Met once R95 of one position no longer improves although measurements arrive.
 
     Only time between measurements that were accepted in flight counts: while the vehicle holds, or
-    its radio or its clock fails, there is no information, and a constant R95 is no evidence.
+    its radio or its clock fails, there is no information, and a constant R95 is not evidence.
     """
 
     def __init__(self) -> None:

@@ -51,7 +51,7 @@ WORTH_REPORTING_S = 10.0
 WORTH_REPORTING_SHARE = 0.01
 """Probability outside of the fence that is worth a warning."""
 STATE_EVERY_S = 2.0
-"""Time between two renewals of the probabilities."""
+"""Time between two updates of the probabilities."""
 
 
 class Searching:

@@ -266,11 +266,11 @@ class GuidanceSession:
         return self.authority.phase is Phase.STOPPED
 
     def objection_to(self, command: events.OperatorCommand) -> str | None:
-        """Return why an operator's command would have no effect now, in a few words, or None."""
+        """Return the reason why an operator's command would have no effect now, or None."""
         return self._watches.operator.objection(command)
 
     def objection_to_change(self, when: When) -> str | None:
-        """Return why a parameter may not be changed now, in words, or None."""
+        """Return the reason why a parameter may not be changed now, or None."""
         if when is When.NEVER:
             return "is read-only"
         if when is When.DISARMED and self.vehicle.is_armed:

@@ -46,7 +46,7 @@ def mode_text(heartbeat: events.HeartbeatReceived) -> str:
 
 
 def vehicle_refusal(vehicle_class: VehicleClass, autopilot: Autopilot) -> str | None:
-    """Return why this class, or autopilot, is not supported, in words; None if it is."""
+    """Return the reason why this class or autopilot is not supported; None if it is."""
     if not vehicle_class.is_flown:
         name = vehicle_class.value
         article = "an" if name[0] in "aeiou" else "a"

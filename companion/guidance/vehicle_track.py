@@ -1,10 +1,10 @@
 """Position and attitude of the vehicle at the time of a measurement, and their accuracy.
 
 Theory of operation of the accuracy. The GNSS receiver reports the accuracy of its fix. PX4's
-estimator reports one as well, but about the local origin: slow GNSS errors, which move the origin
-along with everything else, are not in it. So it can only increase the receiver's sigma and does not
-replace it. If the receiver reports no accuracy, has no fix or is silent, the sigma is at least the
-assumed default, and the accuracy counts as not reported.
+estimator reports one as well, but relative to the local origin: slow GNSS errors, which move the
+origin along with everything else, are not in it. So it can only increase the receiver's sigma and
+does not replace it. If the receiver reports no accuracy, has no fix or is silent, the sigma is at
+least the assumed default, and the accuracy counts as not reported.
 
 Source: GPS_RAW_INT.h_acc and v_acc, MAVLink common; PX4 1.15, EKF2, where
 ESTIMATOR_STATUS.pos_horiz_accuracy comes from the accuracy of the local position.

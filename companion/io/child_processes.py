@@ -2,7 +2,7 @@
 
 Theory of operation of the clock of a simulated flight, which waits for each of its processes.
 `time.monotonic` is the same for all processes of a machine. One of them, the pacer, keeps in a file
-which flight time belongs to a monotonic time, and the rate from there; it renews both whenever it
+which flight time belongs to a monotonic time, and the rate from there; it updates both whenever it
 wakes up, and every process derives the flight time from them. The others note in the file when they
 last woke up.
 
@@ -246,7 +246,7 @@ class Pacer(SharedClock):
         self._judged_s = (time.monotonic(), self._zero_s)
 
     def now_s(self) -> float:
-        """Return the flight seconds since this clock was started; renews the entry in the file."""
+        """Return the flight seconds since this clock was started; updates its entry in the file."""
         wall_s = time.monotonic()
         flight_s = self._flight_s(wall_s)
         self._judge(wall_s, flight_s)

@@ -85,10 +85,11 @@ class TlogRecord:
 def read_tlog(path: Path, on_damage: OnDamage | None = None) -> Iterator[TlogRecord]:
     """Yield the frames of a tlog in order, without a torn last one.
 
-    Bytes that are no frame are skipped up to the next frame with a valid checksum, and `on_damage`
-    is called with the offset of the first; so are messages that the dialect does not have, whose
-    checksum cannot be verified and which no flight records. Without `on_damage` messages of other
-    dialects are yielded, and bytes that are no frame are a `ConfigError`, as is a file without any.
+    Bytes that are not a frame are skipped up to the next frame with a valid checksum, and
+    `on_damage` is called with the offset of the first; so are messages that the dialect does not
+    have, whose checksum cannot be verified and which no flight records. Without `on_damage`
+    messages of other dialects are yielded, and bytes that are not a frame are a `ConfigError`, as
+    is a file without any.
     """
     data, offset = read_file(path), 0
     while offset + _STAMP.size < len(data):
@@ -414,8 +415,8 @@ class EventLog(BackgroundFile):
 def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str, object]]:
     """Return the event log, without a torn last line (a power cut).
 
-    Lines that are no JSON object are left out, and `on_damage` is called with the number of each.
-    Without `on_damage` they are a `ConfigError`.
+    Lines that are not a JSON object are left out, and `on_damage` is called with the number of
+    each. Without `on_damage` they are a `ConfigError`.
     """
     lines = read_file(path).split(b"\n")
     values: list[dict[str, object]] = []

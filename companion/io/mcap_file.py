@@ -93,7 +93,7 @@ MESSAGE_OVERHEAD = 47
 LEVELS = {Severity.ERROR: 4, Severity.WARNING: 3, Severity.NOTICE: 2, Severity.INFO: 2}
 """foxglove.Log: 2 is INFO, 3 WARNING, 4 ERROR."""
 FRAME_ID = "local_enu"
-"""Name of the local frame: east, north, up about the autopilot's origin."""
+"""Name of the local frame: east, north, up from the autopilot's origin."""
 
 Json = dict[str, object]
 Message = tuple[str, bytes, int]

@@ -116,7 +116,7 @@ class RadioRecordingWriter:
         self._flushed_s = -math.inf
         self._written_bytes = 0
         self.dropped = 0
-        """Poses with numbers that are none."""
+        """Poses with values that are not finite."""
         self._add(header)
         self.flush()
 

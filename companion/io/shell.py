@@ -129,7 +129,7 @@ class GatheringSelector(selectors.DefaultSelector):
         return super().modify(fileobj, events, data)
 
     def unregister(self, fileobj: FileDescriptorLike) -> selectors.SelectorKey:
-        """Watch a descriptor no longer."""
+        """Stop watching a descriptor."""
         self._others = None
         return super().unregister(fileobj)
 

@@ -17,7 +17,7 @@ id, all of this may be missed, so the fence is also read again every few seconds
 
 Source: MAVLink common, MISSION_CURRENT.fence_id; ArduPilot `AC_PolyFence_loader`, FENCE_TOTAL.
 
-The fences by parameters are a circle about home, and limits of altitude. ArduPilot has
+The fences by parameters are a circle around home, and limits of altitude. ArduPilot has
 FENCE_RADIUS, FENCE_ALT_MAX and FENCE_ALT_MIN, each with a bit of FENCE_TYPE, where FENCE_ENABLE is
 1, and stops FENCE_MARGIN inside. PX4 has GF_MAX_HOR_DIST and GF_MAX_VER_DIST where they are above
 0, unless GF_ACTION is 0. None of them is an item of the fence's plan. Each parameter is requested

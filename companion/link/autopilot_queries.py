@@ -9,8 +9,8 @@ Streams are requested because ArduPilot sends nothing but heartbeats by itself, 
 differ by link. Each kind of message is monitored on its own, by arrival here and progress there:
 one with a time stamp counts as new only if that moved. A stream that has not come for a while is
 stale; one that comes far less often than requested is slow; both are requested again. Whether the
-link is alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is no detector where
-frames get lost.
+link is alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is not a detector
+where frames get lost.
 
 Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
 """
@@ -122,8 +122,8 @@ class StreamFreshness:
 
 
 ECHO_S = 0.07
-"""Interval that is no multiple of usual setpoint intervals: an echo in step with our own setpoints
-would never show those of another sender."""
+"""Interval that is not a multiple of usual setpoint intervals: an echo in step with our own
+setpoints would never show those of another sender."""
 STREAM_INTERVAL_S: dict[int, float] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 0.05,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0.1,

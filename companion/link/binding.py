@@ -126,7 +126,7 @@ class AutopilotBinding:
         return SURE_SILENCE_S if self.is_keyed else PEER_SILENCE_S
 
     def recognise(self, message: Message, peer: Address | None, now_s: float) -> bool:
-        """Return True if a message is of the bound autopilot, and to be used; may bind to one."""
+        """Return True if a message is from the bound autopilot, and to be used; may bind to one."""
         header = message.get_header()
         ids = (header.srcSystem, header.srcComponent)
         if isinstance(message, mavlink.MAVLink_heartbeat_message) and self.candidates.take(

@@ -10,7 +10,7 @@ is clear. Delayed frames are late, but do not alternate with prompt ones. A cloc
 restart, leave the old course for good: a slip is by seconds and keeps position or sequence, a
 restarted clock shows no more time than has passed. Any other change for good is another vehicle in
 its place. And where frames return to the old course several times, two vehicles send. Position
-alone is no proof of two, because a bad estimator may flip between two positions: then the sequence
+alone is not proof of two, because a bad estimator may flip between two positions: then the sequence
 numbers must be those of two counters, too.
 
 The hardware id distinguishes vehicles with the same ids for certain. AUTOPILOT_VERSION contains it,
@@ -272,7 +272,7 @@ class IdentityCourse:
         return f"positions {self.main.away_m(sign):.0f} m apart"
 
     def is_young(self, sign: Sign, now_s: float) -> bool:
-        """Return True if a sign may be of this vehicle after a restart."""
+        """Return True if a sign may be from this vehicle after a restart."""
         main = self.main
         return main is not None and sign.stamp_s <= now_s - main.heard_s + YOUNG_S
 

@@ -182,7 +182,7 @@ class VehicleInbound:
         """Return the events of a message; none if a newer one of its kind came before.
 
         Positions and attitudes are ordered by their stamps in their buffers; but a position that
-        was sent before the origin moved is of another frame. `number` is a message's position in
+        was sent before the origin moved is in another frame. `number` is a message's position in
         the order of sending, from the sequence numbers.
         """
         if self._note_order(message, number, now_s):

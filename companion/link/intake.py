@@ -5,7 +5,7 @@ delays one. The autopilot's own address, and any line with one end, has a budget
 an autopilot's traffic; all others share a much smaller one, with a share for each source, so that
 unknown peers are dropped first and none of them displaces the others. Bytes are counted before they
 are split into frames, frames before they are verified, messages before they are used. Input over
-budget is dropped and counted, and the budgets are renewed with each control tick. The number of
+budget is dropped and counted, and the budgets are reset with each control tick. The number of
 sources per tick is limited. A link that held everything back delivers more at once than a tick
 reads, and the newest mode last: so HEARTBEATs of the autopilot's address have a budget of their
 own.
@@ -22,7 +22,7 @@ decoded; the codecs do that. The time in signatures continues from the wall cloc
 the control tick's own clock, so that a wall clock that is set in flight has no effect; it is
 followed only before an autopilot is bound. Rejections are announced within a second, then once a
 period in one text, because a forger must not fill the log. RADIO_STATUS may come unsigned. It is
-logged and not used otherwise: unverified, it is no evidence about the autopilot, not even that it
+logged and not used otherwise: unverified, it is not evidence about the autopilot, not even that it
 is there.
 """
 
@@ -113,7 +113,7 @@ class FloodBudget:
         self.renew()
 
     def renew(self) -> None:
-        """Renew the budgets at a control tick."""
+        """Reset the budgets at a control tick."""
         self.known = [0, 0, 0]
         """Use by the autopilot's address, by resource."""
         self._unknown = [0, 0, 0]

@@ -2,8 +2,8 @@
 
 The mount is configured once for each kind of antenna. A direction finder's angle about its
 upright is turned by `bearing_mount_deg` here, and is then a bearing from the vehicle's nose. An
-array's angle (`AngleFrame.ARRAY`) is no angle about any upright, cannot be turned by addition, and
-is passed unchanged: its mount is `estimation.filter.antenna.mount_deg`.
+array's angle (`AngleFrame.ARRAY`) is not an angle about any upright, cannot be turned by addition,
+and is passed unchanged: its mount is `estimation.filter.antenna.mount_deg`.
 """
 
 from __future__ import annotations

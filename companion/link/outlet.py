@@ -5,11 +5,11 @@ gets the same in addition. Setpoints and commands only leave by the vehicle link
 
 A router that forwards to all sends our frames back to us, byte by byte as they were. A frame with
 our ids that we did not send comes from another component. Another kind of component with our
-component id, as MAVROS2 has 191, is no conflict: where no id is configured the companion takes the
-next free one, before it has control and never in flight. A second companion of this kind is one,
-under whatever component id: both would obey the operator and alternate setpoints. It is identified
-by setpoints and estimates, and by a mark that each companion sends once a second while it receives
-another onboard computer of its vehicle.
+component id, as MAVROS2 has 191, is not a conflict: where no id is configured the companion takes
+the next free one, before it has control and never in flight. A second companion of this kind is
+one, under whatever component id: both would obey the operator and alternate setpoints. It is
+identified by setpoints and estimates, and by a mark that each companion sends once a second while
+it receives another onboard computer of its vehicle.
 """
 
 from __future__ import annotations

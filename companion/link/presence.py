@@ -145,7 +145,7 @@ def estimate_message(
 
 
 def named_values(estimate: TargetEstimate, now_s: float) -> list[Message]:
-    """Return NAMED_VALUE_FLOATs of an estimate, in metres about the local origin.
+    """Return NAMED_VALUE_FLOATs of an estimate, in metres from the local origin.
 
     With its covariance: a station behind PX4 gets nothing else, because PX4 1.16 forwards only
     messages that it knows.

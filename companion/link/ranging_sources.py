@@ -112,7 +112,7 @@ class MavlinkRanging:
         self._clocks: dict[tuple[int, int], SenderClock] = {}
         self._rates: dict[tuple[int, int], SenderRate] = {}
         self._on_vehicle_clock: set[tuple[int, int]] = set()
-        """Senders whose latest stamp was of the autopilot's clock."""
+        """Senders whose latest stamp was from the autopilot's clock."""
         self._slips = vehicle_clock.slips
 
     def receive(self, data: bytes, now_s: float) -> list[RangingMeasurement]:
@@ -209,7 +209,7 @@ def _from_landing_target(
 ) -> RangingMeasurement | None:
     """Convert LANDING_TARGET: `distance` is slant, 0 unknown; `angle_x` is from the nose.
 
-    Other targets than a radio beacon are no ranging.
+    Targets other than a radio beacon are not ranging.
     """
     if message.type != mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
         return None

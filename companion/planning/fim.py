@@ -123,8 +123,8 @@ def azimuth_worst_variance_m2(
     """Return `worst_variance_m2` of a range and an azimuth, of one line of sight or of n, (n,).
 
     In closed form, with the partials (ue, un, 1, 0) and (ve, vn, 0, 1), because a decision compares
-    many. `noise_m2` and `noise_rad2` are of the radio, `spread_m2` is the trace of the position's
-    covariance for the second-order terms, or 0.
+    many. `noise_m2` and `noise_rad2` are those of the radio, `spread_m2` is the trace of the
+    position's covariance for the second-order terms, or 0.
     """
     ue, un = range_partials(sight, 1.0)
     ge = P[0, 0] * ue + P[0, 1] * un + P[0, 2]

@@ -46,7 +46,7 @@ UNLIKELY_PER_S = 1e-3
 LEAST_LEAD = 0.15
 """Minimum difference by which the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
-"""The same lead for bearings from north, most of which may be of one direction."""
+"""The same lead for bearings from north, most of which may have one direction."""
 HUBER_K = 1.5
 SECTORS = 12
 LEAST_SECTORS = 8

@@ -39,7 +39,7 @@ PLAYED = "?play=10"
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """Number of bytes, and their share of non-text, that mean another speed if there is no reading."""
 FEWEST_POWERS = 3
-"""Minimum number of received powers that are no accident of a console that prints ranges, too."""
+"""Minimum number of received powers: fewer may be by-products of a console that prints ranges."""
 FEWEST_FRAMES_SHARE = 0.5
 """Minimum share of the bytes in binary formats, whose short frames without a checksum occur in
 noise."""
@@ -106,7 +106,7 @@ class Listener:
     def found_by_power(self) -> _Candidate | None:
         """Return the radio that reads most powers, once nothing else is to be expected; or None.
 
-        Any log may mention a power now and then: most lines must be of that radio.
+        Any log may mention a power now and then: most lines must be from that radio.
         """
         fitting = [
             each

@@ -113,7 +113,7 @@ class DecoderCounts:
     refused: Counter[str] = field(default_factory=Counter)
     """Number of refused readings by reason: `no bearing from above`, `status RX_TIMEOUT`."""
     unrecognised: int = 0
-    """Lines that are none of the format's; blank ones do not count."""
+    """Lines that are not in the format; blank ones do not count."""
     first_unrecognised: str = ""
     """First unrecognised line, truncated and printable."""
     is_introduced: bool = False
@@ -216,7 +216,7 @@ class LineDecoder(RadioDecoder):
     """Decoder of text that cuts the stream into lines.
 
     A line ends with LF, CR or CRLF in any cut; one beyond `longest_line` is dropped whole and
-    counted. Bytes that are no text are replaced, so that a line is always a `str`; a byte order
+    counted. Bytes that are not text are replaced, so that a line is always a `str`; a byte order
     mark, and colours, cursor movements and titles of a terminal are removed.
     """
 

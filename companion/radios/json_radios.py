@@ -71,7 +71,7 @@ class LoraGatewayDecoder(FrameDecoder):
         return 0 if end == at + self.longest_object else None
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """Return a reading for each packet; None if the object is of another kind."""
+        """Return a reading for each packet; None if the object has another kind."""
         try:
             found = json.loads(frame)
         except (ValueError, RecursionError):

@@ -7,7 +7,7 @@ its picture of the band (the rest is skipped). The angle of the spectrum is coun
 messages contain, among much else, the antenna arrangement.
 
 While the squelch is closed, or the receiver calibrates, the last spectrum is repeated. A repeated
-spectrum is no measurement, so that a lost signal is noticed at once.
+spectrum is not a measurement, so that a lost signal is noticed at once.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class FormDecoder(FieldDecoder):
 
 
 _AT_STATUS = form(r"^(?:AT\+.*|\+?(?:OK|READY)|\+[A-Za-z_]{2,16}=[^,]*)\s*$")
-"""Commands that are echoed, and answers to them that are no measurement."""
+"""Commands that are echoed, and answers to them that are not a measurement."""
 
 
 class ChannelSoundingDecoder(FormDecoder):

@@ -2,7 +2,7 @@
 
 Layouts: github.com/nooploop-dev/nlink_unpack and nlink_parser. Little-endian; a frame ends with the
 low 8 bits of the sum of all bytes before it. Its length must fit the number of its elements as
-well, because one sum in 256 is right by chance, and because bytes that are no frame are then
+well, because one sum in 256 is right by chance, and because bytes that are not a frame are then
 rejected without waiting.
 
 Angles are the device's: of two antennas, so arcsines, and counter-clockwise, to our knowledge, so

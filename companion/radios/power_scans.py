@@ -1,7 +1,7 @@
 """Scans and sniffers that print received powers: Wi-Fi, Bluetooth, LoRa receivers, UAV-RT pulses.
 
 A line belongs to the device whose address it has, or to that of the block that it stands in.
-Without any address it is used only if all lines are of one emitter, which must be configured,
+Without any address it is used only if all lines are from one emitter, which must be configured,
 because the first device of a scan is seldom the one that is searched for.
 
 Sources: `iw` scan.c, station.c and link.c; wireless-tools iwlist.c; wpa_supplicant ctrl_iface.c;

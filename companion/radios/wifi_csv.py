@@ -256,7 +256,7 @@ class Header:
 def header_of(cells: list[str], *, unit: str | None, is_single: bool) -> Header | None:
     """Return the header made of a line's cells; None if none of them is a range.
 
-    `unit` applies to columns without one; with `is_single` all rows are of one emitter.
+    `unit` applies to columns without one; with `is_single` all rows are from one emitter.
     """
     by_name: dict[str, tuple[int, Column]] = {}
     ranges: list[tuple[int, Column]] = []

@@ -115,7 +115,7 @@ class FlightSummary:
 
     estimates: list[EstimatePoint] = field(default_factory=list)
     track: FlightTrack = field(default_factory=FlightTrack)
-    """Track of the vehicle, metres about the origin."""
+    """Track of the vehicle, metres from the origin."""
     measured_enu_m: list[Point] = field(default_factory=list)
     """Vehicle positions at measurements, the only ones in a log without a track."""
     origin: LocalOrigin | None = None
@@ -137,7 +137,7 @@ class FlightSummary:
 
     @property
     def track_enu_m(self) -> list[Point]:
-        """Track of the vehicle, metres about the origin."""
+        """Track of the vehicle, metres from the origin."""
         return self.track.line or self.measured_enu_m
 
     @property

@@ -250,8 +250,8 @@ def fence_of(
 ) -> tuple[Sequence[Point], Sequence[Sequence[Point]]]:
     """Return the fence that the guard kept, and its keep-outs; empty if unknown.
 
-    A log without a fence is of a flight without one, or of an earlier version: then the configured
-    one is used, which is only a default if the fence comes from another source.
+    A log without a fence is from a flight without one, or from an earlier version: then the
+    configured one is used, which is only a default if the fence comes from another source.
     """
     limits = config.limits
     if summary.fence is not None:

@@ -175,7 +175,7 @@ def _new_pieces(
 
 
 def outlook_of(area: SearchedArea) -> Outlook:
-    """Return the remaining probability, as of its last renewal."""
+    """Return the remaining probability, as of its last update."""
     chance = area.missed * area.grid.poa[:, None].astype(np.float32)
     grid, chance = _coarse(area.grid, chance)
     return Outlook(grid, chance, frozenset(area.squares))

@@ -14,7 +14,7 @@ out when the state is asked for:
 
 A square that is entered again continues where it was left: its looks are applied again, and what it
 counted for is taken back. That would take long at once, so work is queued, and `advance` does one
-piece of it, an update of all cells. Probabilities are renewed in blocks of cells for the same
+piece of it, an update of all cells. Probabilities are updated in blocks of cells for the same
 reason.
 
 The searched area at first contact: prior of the emitter's position, and reach of the radio.
@@ -64,7 +64,7 @@ LISTENED_AGAIN_S = 5.0
 
 ALL_CELLS = slice(None)
 BLOCK = 5_000
-"""Cells that are renewed at once, 2 km^2 in cells of 20 m: about 3 ms in plain Python."""
+"""Cells that are updated at once, 2 km^2 in cells of 20 m: about 3 ms in plain Python."""
 GROUPS = 5
 """Groups of the offsets of a cell: a quadrature of five points."""
 
@@ -142,7 +142,7 @@ class SearchedArea:
         self._here = np.zeros((cells, self._spread.shape[0]), dtype=np.float32)
         """Log probability of a miss in the square that is listened from, (cells, offsets)."""
         self.missed: Floats32 = np.tile(GROUP_MATRIX.sum(axis=0), (cells, 1))
-        """Probability of offset group and miss at the last renewal, (cells, groups)."""
+        """Probability of offset group and miss at the last update, (cells, groups)."""
         self._renewing = np.empty_like(self.missed)
         self._renewed_cells = 0
         self._looks: dict[Square, _SquareLooks] = {}
@@ -223,7 +223,7 @@ class SearchedArea:
         return True
 
     def finish(self) -> None:
-        """Do all pending work, include the looks until now, and renew."""
+        """Do all pending work, include the looks until now, and update."""
         self._commit_pending()
         while self.advance():
             pass
@@ -232,7 +232,7 @@ class SearchedArea:
             pass
 
     def renew(self) -> bool:
-        """Compute one block of `missed`; True: it was the last one, and `missed` is renewed."""
+        """Compute one block of `missed`; True: it was the last one, and `missed` is updated."""
         block = slice(self._renewed_cells, self._renewed_cells + BLOCK)
         self._renewing[block] = np.exp(self.log_missed(block)) @ GROUP_MATRIX
         self._renewed_cells += BLOCK
@@ -244,7 +244,7 @@ class SearchedArea:
 
     @property
     def state(self) -> SearchState:
-        """State of the search, as of the last renewal."""
+        """State of the search, as of the last update."""
         return _state(self.grid, self.missed.sum(axis=1, dtype=float))
 
     def _commit_pending(self) -> None:

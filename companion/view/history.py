@@ -215,7 +215,7 @@ class SearchedHistory(History[PackedState]):
         self._shown: tuple[SearchState | None, LocalOrigin | None] = (None, None)
 
     def look(self, session: GuidanceSession) -> None:
-        """Take the session's state, which is renewed every few seconds."""
+        """Take the session's state, which is updated every few seconds."""
         searching, frame = session.searching, session.vehicle.frame
         state = searching.state if searching.is_worth_reporting else None
         if state is self._shown[0] and frame == self._shown[1]:

@@ -75,7 +75,7 @@ class Access:
         return _parsed(f"//{host_header}", "hostname") in names
 
     def is_origin_ours(self, origin: str | None, host_header: str) -> bool:
-        """Return True if a WebSocket is of a page of this host, by its origin (RFC 6455, 10.2)."""
+        """Return True if a WebSocket is from a page of ours, by its origin (RFC 6455, 10.2)."""
         return origin is None or _parsed(origin, "netloc") == host_header
 
 

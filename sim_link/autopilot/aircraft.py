@@ -1,7 +1,7 @@
 """The multicopter without its autopilot's rules: body, estimator, battery, sticks, plans, home.
 
 A flavour decides which mode is flown and who may choose it; it works on this. Positions are in the
-world's frame, local east-north-up about the scenario's origin; time is seconds since boot.
+world's frame, local east-north-up from the scenario's origin; time is seconds since boot.
 
 The battery is a four-cell pack that only flying empties. The geofence says what is inside, and how
 far it is to its border. Source: MAVLink common, MAV_CMD_NAV_FENCE_* (5000 to 5004).

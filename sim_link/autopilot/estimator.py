@@ -1,6 +1,6 @@
 """The autopilot's position estimate: GNSS, estimator, local frame.
 
-Theory of operation. The world's frame is local east-north-up about the scenario's origin. The
+Theory of operation. The world's frame is local east-north-up from the scenario's origin. The
 autopilot's local frame has its zero at the EKF origin, which a station may move
 (SET_GPS_GLOBAL_ORIGIN), and its estimate differs from the truth by a bias: the navigation's error
 (`navigation`), commanded jumps, and the drift while there is no fix. White noise is in the reports
@@ -264,7 +264,7 @@ class Estimator:
 
     @property
     def local_enu_m(self) -> PositionEnu:
-        """The reported position about the EKF origin."""
+        """The reported position relative to the EKF origin."""
         return self.local_from_world(self.reported_enu_m)
 
     def test_ratio(self, of: EstimatorVote) -> float:

@@ -62,7 +62,7 @@ def _centidegrees(angle_rad: float) -> int:
 
 
 def local_position_ned(vehicle: SimVehicle) -> Fields | None:
-    """Return the position about the EKF origin; None without an estimate."""
+    """Return the position relative to the EKF origin; None without an estimate."""
     if not vehicle.flavour.has_position(vehicle.time_s):
         return None
     position = ned_from_enu(vehicle.estimator.local_enu_m)

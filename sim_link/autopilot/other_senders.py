@@ -4,7 +4,7 @@ The radio payload measures the emitters and sends what it heard. A radio that in
 or buffers reports late: what it sends and stamps now it measured `lag_s` ago, at the position and
 attitude of that time.
 
-Each other component sends a HEARTBEAT a second, and what is typical of it. They are no part of the
+Each other component sends a HEARTBEAT a second, and what is typical of it. They are not part of the
 autopilot, and are heard on all of its links, as components are whose frames it passes on.
 
 Source: MAVLink common, MAV_COMPONENT and MAV_TYPE; MAVROS2 (`1/191`, TIMESYNC at 10 Hz), STorM32

@@ -124,7 +124,7 @@ class Pilot:
     ) -> PositionEnu:
         """Return the velocity that the task wants now, local east-north-up.
 
-        None, where a parameter that is no number makes nonsense of it.
+        None, where a parameter that is not a number makes nonsense of it.
         """
         self._leg, self.goal_enu_m = leg, None
         if self._holds_the_ground and body.is_on_ground:

@@ -105,7 +105,7 @@ class RcParams(Params, frozen=True):
 
 
 class FenceParams(Params, frozen=True):
-    """A geofence that is loaded at boot, local metres about the origin; a client may replace it."""
+    """A geofence that is loaded at boot, local metres from the origin; a client may replace it."""
 
     corners_enu_m: tuple[tuple[Coordinate, Coordinate], ...] = ()
     """A simple polygon, not closed; empty: no fence."""

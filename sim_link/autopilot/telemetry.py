@@ -136,7 +136,7 @@ def battery_status(vehicle: SimVehicle) -> Fields:
 
 
 def home_position(vehicle: SimVehicle) -> Fields | None:
-    """Return HOME_POSITION with its local position about the EKF origin."""
+    """Return HOME_POSITION with its local position relative to the EKF origin."""
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     local = ned_from_enu(vehicle.estimator.local_from_world(vehicle.home_enu_m))

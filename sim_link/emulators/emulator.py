@@ -116,9 +116,9 @@ class Emulator(ABC):
     reports_north: ClassVar[bool] = False
     """True if the format can carry a bearing from north."""
     request: ClassVar[bytes] = b""
-    """Poll that each round needs; empty if the radio sends unasked."""
+    """Poll that each round needs; empty if the radio sends unprompted."""
     document: ClassVar[str | None] = None
-    """Path that is polled by HTTP; None if the radio sends unasked."""
+    """Path that is polled by HTTP; None if the radio sends unprompted."""
     socket: ClassVar[str | None] = None
     """Path of a web socket; its bytes are frames of RFC 6455 then. None if it has none."""
     epoch_s: ClassVar[float] = 0.0

@@ -124,7 +124,7 @@ Coordinate = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 
 
 class EmitterParams(Params, frozen=True):
-    """The emitter's identity and position, local east-north-up metres about the origin."""
+    """The emitter's identity and position, local east-north-up metres from the origin."""
 
     emitter_id: EmitterId = 1
     position_enu_m: tuple[Coordinate, Coordinate] = (50.0, 50.0)

@@ -14,8 +14,8 @@ body's. So
 
     planar     u_x, u_y: azimuth atan2(u_y, u_x) clockwise from x, sigma_0 / cos(elevation): nothing
                near the normal of its plane, the cone of silence
-    line       u_y alone: it prints asin(u_y), which is no azimuth once the target is out of level
-    two_axis   u_y and u_z: asin(u_y), and asin(-u_z) as elevation
+    line       u_y alone: it prints asin(u_y), which is not an azimuth once the target is out of
+    level two_axis   u_y and u_z: asin(u_y), and asin(-u_z) as elevation
 
 A line and a two-axis array do not see which side a signal comes from: what is behind is printed as
 its mirror image in front. An angle is printed as a radio gives it, in the antenna's frame; the

@@ -67,7 +67,7 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """`FlightMode` now."""
     armed: bool | None = None
     place: dict[str, float] | None = None
-    """Metres: any of `north`, `east`, `up`, about the origin, within `within_m`."""
+    """Metres: any of `north`, `east`, `up`, from the origin, within `within_m`."""
     within_m: float = 0.5
 
 

@@ -4,7 +4,7 @@ A mutated stream is an example of the radio's with a few bytes changed, dropped,
 doubled. It is fed whole and once more in random pieces. Faults are an exception, an invalid reading
 (NaN, a wrong type), different readings for a different cut, and a value that was never sent in a
 frame whose checksum is wrong. A checksum of 8 bits is right by chance in one of 256 broken frames;
-those are no faults.
+those are not faults.
 """
 
 from __future__ import annotations

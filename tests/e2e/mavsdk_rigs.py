@@ -30,7 +30,7 @@ class Client:
         self.param = ParamAsync(system)
 
     async def ask_for_streams(self) -> None:
-        """Request the streams of MAVSDK's health and positions; an ArduPilot sends none unasked."""
+        """Request the streams of MAVSDK's health and positions; an ArduPilot sends on request."""
         await self.telemetry.set_rate_health(2.0)
         await self.telemetry.set_rate_home(1.0)
         await self.telemetry.set_rate_position(10.0)

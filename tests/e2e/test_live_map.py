@@ -109,7 +109,7 @@ def pixels_per_metre(page: Page) -> float:
 
 
 def settled_scale(page: Page) -> float:
-    """The map's scale once it changes no more."""
+    """The map's scale once it no longer changes."""
     seen = [0.0, pixels_per_metre(page)]
     while seen[-1] != seen[-2]:
         page.wait_for_timeout(500.0)

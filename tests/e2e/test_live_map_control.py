@@ -38,7 +38,7 @@ SIZES = [DESK, PHONE, PHONE_ACROSS]
 DEAD_S = 2.0
 ANSWER_S = 1.0
 LOAD_S = 1.0
-"""Time that a busy machine may take in addition, which is no part of the promise."""
+"""Time that a busy machine may take in addition, which is not part of the promise."""
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,7 @@ def test_what_waited_for_the_timer_keeps_its_time_and_its_order_across_links() -
 def test_a_clock_that_is_set_meanwhile_moves_no_arrival_out_of_the_wait(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The stamps are of the wall clock, which NTP may set by hours in a flight."""
+    """The stamps are from the wall clock, which NTP may set by hours in a flight."""
     real, step_s = time.time, [0.0]
     monkeypatch.setattr("companion.io.links.udp.time.time", lambda: real() + step_s[0])
 

@@ -2,7 +2,7 @@
 
 A golden flight is an endpoint's inputs and its configuration; `courses.json` has digests
 of every estimate and every setpoint that came of each. The flights are low and short, so that all
-of them together are small and are run again in seconds. `python -m tools.update_golden` renews the
+of them together are small and are run again in seconds. `python -m tools.update_golden` updates the
 digests, or flies anew.
 """
 

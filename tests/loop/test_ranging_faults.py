@@ -191,7 +191,7 @@ def test_a_burst_after_three_seconds_moves_nothing_suddenly() -> None:
 
 
 def test_two_emitters_under_one_id_never_count_as_one_place_found() -> None:
-    """Half of the answers are of another one, 60 m away: neither is reported as if it were sure."""
+    """Half of the answers are from another one, 60 m away: neither is reported as certain."""
     loop = flying(RangingSecondEmitter(), 4.0)
     loop.run(40.0)
     for _, report in loop.notes.results:

@@ -1,4 +1,4 @@
-"""A target that walks, or leaves the fence, although it is believed to lie still within it.
+"""A target that walks, or leaves the fence, although it is believed to be stationary within it.
 
 Nine ranges of ten are reflected.
 """
@@ -89,7 +89,7 @@ def away(time_s: float) -> Point:
 
 
 def along_the_border(time_s: float) -> Point:
-    """Return the position on a way to and fro across the fence's north-east corner."""
+    """Return the position on a way back and forth across the fence's north-east corner."""
     return (60.0 + 25.0 * math.sin(0.05 * time_s), 60.0 + 25.0 * math.cos(0.05 * time_s))
 
 

@@ -46,7 +46,7 @@ def settled_m(k_short: float) -> float:
 def test_neither_offset_settles_at_the_hardwares_alone(
     name: FilterName, k_short: float, expected_m: float
 ) -> None:
-    """The paper says that Huber's offset goes to the hardware's 1.5 m: that is no equilibrium."""
+    """The paper says that Huber's offset goes to the hardware's 1.5 m: no equilibrium is there."""
     assert Case().channel.range_offset_m == 1.5
     assert settled_m(k_short) == pytest.approx(expected_m, abs=0.02)
     tally = tally_of(RunSeries(Case(), System(name, "passive"), 1, RUNS))

@@ -2,8 +2,9 @@
 
 Theory of operation. Two endpoints of the same seed run side by side. Both receive frames addressed
 to the vehicle. The first one also receives irrelevant input: frames for other systems, and bytes
-that are no frame. The two vehicles' own output must then stay the same, byte for byte; frames that
-the first one forwards are not its own and are left out. An exception of either ends the campaign.
+that are not a frame. The two vehicles' own output must then stay the same, byte for byte; frames
+that the first one forwards are not its own and are left out. An exception of either ends the
+campaign.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ def random_fields(
 
 
 class FrameFuzzer:
-    """Makes frames with random fields, and bytes that are no frames.
+    """Makes frames with random fields, and bytes that are not frames.
 
     Args:
         rng: Source of all randomness.

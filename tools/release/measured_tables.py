@@ -113,7 +113,7 @@ class Table:
     rows_of: Callable[[Any], list[str]]
 
     def written(self, text: str) -> str:
-        """Return the page's text with the table renewed; a `ValueError` without marks."""
+        """Return the page's text with the table updated; a `ValueError` without marks."""
         figures = json.loads((ROOT / f"docs/measured/{self.name}.json").read_bytes())
         rows = "\n".join(self.rows_of(figures))
         begin, end = f"<!-- measured: {self.name} -->", "<!-- end of measured -->"

@@ -2,7 +2,7 @@
 
 Companion and vehicle are joined in memory. A flight ends with the report, or at the time limit.
 Seeds vary not only the noise, so that nothing is fitted to one site: the emitter lies anywhere in
-a ring about home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
+a ring around home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
 compass and mount are uniform, with the scenario's figure as root mean square (of the range, which
 is never too short: between 0 and twice the figure); the wind turns. All planners and configurations
 of a seed meet the same.
@@ -96,7 +96,7 @@ def flights_of(
 def _flown_with(config: CompanionConfig, kind: Any, home: Point, reach_m: float) -> CompanionConfig:
     """Return the configuration with a planner, engaging by itself.
 
-    Lanes cover the square about home.
+    Lanes cover the square around home.
     """
     (east, north), planner = home, config.planner
     area = box(east - reach_m, north - reach_m, east + reach_m, north + reach_m)

@@ -44,7 +44,7 @@ from tools.study.reactive_crossing import ReactiveCrossing
 from tools.study.walk import WalkFilter, WalkSteering
 
 STEP_S = 1.0
-"""Time between two measurements; the target lies still, so that only their order counts."""
+"""Time between two measurements; the target is stationary, so that only their order counts."""
 EMITTER_ID = 1
 
 Fuse = Callable[[RangingMeasurement, PositionEnu], tuple[TargetEstimate, Matrix]]

@@ -1,7 +1,7 @@
 """A run of a recursive filter as one compiled loop: measure, update, record, fly on.
 
 The loop calls the very kernels that the filter and planner classes are made of; `systems` has the
-same loop over those classes, for systems without kernels. Two things are of the studies alone.
+same loop over those classes, for systems without kernels. Two things belong to the studies alone.
 
 The paper's FIM planner to the letter maximises one expected measurement's information,
 

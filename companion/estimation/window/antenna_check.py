@@ -14,7 +14,7 @@ with u the whitened residuals; ranges add their robust loss. Another antenna is 
 difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than three
 standard deviations by noise, with the correlation of neighbours. Until then the planar
 array is assumed, which claims the least information. An angle beyond a right one rules out a line
-at once. A bearing with a range that is too long came by reflection or around an edge, and is no
+at once. A bearing with a range that is too long came by reflection or around an edge, and is not
 evidence. A planar array is reported only where an azimuth's errors grow with the steepness: errors
 around an edge are as large from aside. Accurate bearings right above prove an azimuth for good, and
 shadows and reflections only degrade them: so an azimuth is dropped only when the evidence against

@@ -47,7 +47,7 @@ URBAN_GNSS_RATIO = 2.0
 Chosen: the low end. It is assumed that a receiver reports the same accuracy in both surroundings.
 """
 GAP_S = 2.0
-"""Time between measurements, s, beyond which they are no neighbours: contact is interrupted, and
+"""Time between measurements, s, beyond which they are not neighbours: contact is interrupted, and
 the vehicle's motion in between is not known to be a line.
 
 Chosen: a shorter one excludes slow radios, in a longer one the vehicle may have turned.
@@ -64,7 +64,7 @@ class SharedSigmas(NamedTuple):
     lag_s: float = 0.0
     """Lag of the radio's stamps."""
     jump_m: float = 0.0
-    """Vehicle position, per axis, while the fix was of another quality."""
+    """Vehicle position, per axis, while the fix had another quality."""
 
 
 def shared_sigmas(

@@ -7,11 +7,11 @@ and the latest time at which that path was there shows how many of our setpoints
 
 - An echo off the whole path is a foreign setpoint. A single one may come from a frame that just
   moved; several over a while are a second source. The vehicle holds for a second, and if the source
-  is still active then, we yield: two streams would pull the vehicle to and fro. Ours follows each
-  of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo far
-  off our path is therefore remembered for half a minute; one close to it may be the autopilot's
+  is still active then, we yield: two streams would pull the vehicle back and forth. Ours follows
+  each of its setpoints within a tick, so of a slow source only one in many is ever echoed. An echo
+  far off our path is therefore remembered for half a minute; one close to it may be the autopilot's
   rounding, and is soon forgotten. While we pause, as on a clock that slipped, the autopilot echoes
-  the position where it stays by itself, which is no foreign setpoint.
+  the position where it stays by itself, which is not a foreign setpoint.
 - An echo on the path, but where it was seconds ago, means that our setpoints no longer arrive. So
   does a missing echo where there was one.
 

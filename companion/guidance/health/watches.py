@@ -58,7 +58,7 @@ class InputWatch(Watch):
         self._agreed += 1
 
     def note_rejected(self) -> None:
-        """Note a restart or failure of the filter: measurements before it count no more."""
+        """Note a restart or failure of the filter: measurements before it no longer count."""
         self._agreed = 0
         self._is_dropout = True
 
@@ -188,7 +188,7 @@ class OperatorCommandWatch(Watch):
         self.is_idle = True
 
     def objection(self, command: OperatorCommand) -> str | None:
-        """Return why a command would have no effect now, in a few words; None if it has one."""
+        """Return the reason why a command would have no effect now; None if it has one."""
         if command is OperatorCommand.GRANT:
             return self._objection_to_grant()
         if self._context.authority.phase not in IN_CONTROL:

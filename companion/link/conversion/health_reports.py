@@ -49,7 +49,7 @@ CENTRE_US, HALF_TRAVEL_US = 1500.0, 500.0
 PULSES_US = range(800, 2201)
 """Valid range of RC pulses."""
 MAX_COORDINATE_M = 1e6
-"""Limit of a target's coordinates about the origin."""
+"""Limit of a target's coordinates from the origin."""
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 FULL_THROTTLE_PCT = 100
 

@@ -320,7 +320,7 @@ class VehicleClock:
     """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times.
 
     Args:
-        sync: The exchange; may be of another clock.
+        sync: The exchange; may be with another clock.
     """
 
     def __init__(self, sync: ClockSync) -> None:
@@ -344,7 +344,7 @@ class VehicleClock:
         """Return local time minus the autopilot's at a local time; None before its first stamp.
 
         By arrival it is too large by the shortest delay. The exchange of times measures that delay,
-        and is used if one way takes no longer than both: otherwise it is of another clock.
+        and is used if one way takes no longer than both: otherwise it is with another clock.
         """
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
         exchange = self.sync.filter
@@ -391,7 +391,7 @@ class VehicleClock:
         """Resynchronise where exchanges show that the clock slipped; return True if they do.
 
         An exchange is wrong by at most half of its round trip. Stamps that differ by more than that
-        and one way, while five exchanges agree with each other, are of another time than before.
+        and one way, while five exchanges agree with each other, refer to another time than before.
         """
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
         offset_s, round_trip_s = self.sync.offset_at_s(now_s), self.sync.round_trip_s

@@ -199,7 +199,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             self.settle(now_s, "pilot")
 
     def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
-        """Return why a mode is refused; disarmed, none is, as the arming checks follow."""
+        """Return the reason to refuse a mode; none while disarmed, as the arming checks follow."""
         if not self.is_armed:
             return None
         if mode.needs_position and not self.has_position(now_s):

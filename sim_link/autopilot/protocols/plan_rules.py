@@ -1,8 +1,8 @@
 """Plan transfer of the two autopilots: accepted items, and the refusals of the others.
 
 PX4 1.15 and ArduCopter 4.5 let through more than is safe; here an infinite number, a position off
-the globe, a terrain altitude without terrain and an altitude that is no number are refused, each by
-the result code of its field (MAVLink common, MAV_MISSION_RESULT).
+the globe, a terrain altitude without terrain and an altitude that is not a number are refused, each
+by the result code of its field (MAVLink common, MAV_MISSION_RESULT).
 
 Source: MAVLink developer guide, "Mission Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """

@@ -9,7 +9,7 @@ place.
 
 SET_ATTITUDE_TARGET on a point mass: thrust along an attitude is an acceleration. Body rates are not
 flown, because a point mass has no attitude of its own to turn: a message that masks the attitude is
-refused, and is no proof of life.
+refused, and is not proof of life.
 
 Source: MAVLink common, messages 82, 84 and 86; PX4 user guide, offboard; PX4 1.15 as observed.
 

@@ -123,7 +123,7 @@ class Px4Flavour(AutopilotFlavour):
         return f"{name_of(self.mode)} mode cannot be armed in"
 
     def _throttle_refusal(self, now_s: float) -> str | None:
-        """Return why the throttle keeps it from being armed, apart from all checks, or None.
+        """Return the reason why the throttle alone keeps it from being armed, or None.
 
         Source: PX4 1.16 `Commander::arm` and `Commander::manualControlCheck`.
         """

@@ -1,7 +1,7 @@
 """Clients of a vehicle's parameters, plans and setpoints, in steps that a rule can each do wrong.
 
 Answers are looked for behind what was sent last. Parameter values are kept as the bytes on the
-wire. Plans lie about home.
+wire. Plans lie around home.
 """
 
 from __future__ import annotations
@@ -267,7 +267,7 @@ class PlanClient(ParameterClient):
         return list(items if self.is_px4 else items[1:])
 
     def square(self, count: int = 4, height_m: float = 10.0) -> list[MissionItem]:
-        """Return waypoints about home, 20 m apart; ArduPilot's home item first."""
+        """Return waypoints around home, 20 m apart; ArduPilot's home item first."""
         home = self.home()
         offsets = [(1_800, 0), (1_800, 2_600), (0, 2_600), (0, 0)]
         items = []
@@ -298,13 +298,13 @@ class PlanClient(ParameterClient):
         return self.without_home(items)
 
     def circle(self, radius_m: float = 500.0) -> list[MissionItem]:
-        """Return a circular inclusion fence about home."""
+        """Return a circular inclusion fence around home."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
         params = (radius_m, 0.0, 0.0, 0.0)
         return [MissionItem(command, self._fence_frame, params, home.latitude, home.longitude)]
 
     def polygon(self, stated: float = 4.0, half: int = 30_000) -> list[MissionItem]:
-        """Return a square inclusion fence about home, each vertex stating `stated` vertices."""
+        """Return a square inclusion fence around home, each vertex stating `stated` vertices."""
         home, command = self.home(), mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
         params = (stated, 0.0, 0.0, 0.0)
         corners = ((-half, -half), (half, -half), (half, half), (-half, half))

@@ -149,7 +149,7 @@ class CompanionProbe(Station):
             require(target == (self.system_id, self.component_id), brief(message))
 
     def await_setpoints(self, within_s: float = 15.0) -> None:
-        """Wait until setpoints come; `NotApplicable`: the companion streams none unasked."""
+        """Wait until setpoints come; `NotApplicable`: the companion streams none unprompted."""
         mark = self.mark
         are_heard = self.run_until(lambda: bool(self.setpoints(mark)), within_s)
         assume(are_heard, f"no setpoints within {within_s:g} s")

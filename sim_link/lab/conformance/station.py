@@ -182,7 +182,7 @@ class Station:
         self._tasks.append(task)
 
         def stop() -> None:
-            """Send the message no more."""
+            """Stop sending the message."""
             if task in self._tasks:
                 self._tasks.remove(task)
 

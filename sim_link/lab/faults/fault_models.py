@@ -85,7 +85,7 @@ class LinkTruncation(LinkFault, frozen=True, tag="link_truncation"):
 
 
 class LinkGarbage(LinkFault, frozen=True, tag="link_garbage"):
-    """Bytes that are no frame stand before some frames, in the same datagram."""
+    """Bytes that are not a frame stand before some frames, in the same datagram."""
 
     share: Share = 0.1
     most_bytes: Count = 40
@@ -219,7 +219,7 @@ class ForeignFrames(SecurityFault, frozen=True, tag="foreign_frames"):
 
 
 class ModeFlap(VehicleFault, frozen=True, tag="mode_flap"):
-    """The mode switch goes to and fro."""
+    """The mode switch flips back and forth."""
 
     mode: FlightMode = FlightMode.HOLD
     period_s: Positive = 0.5

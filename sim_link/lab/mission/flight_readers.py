@@ -164,7 +164,7 @@ class EventReader:
     """Turns events of the companion into the record of the flight and the current situation.
 
     It is a companion's `Journal`, so that a companion in memory writes straight into it. An event
-    that names no emitter is of the first one.
+    that names no emitter is about the first one.
     """
 
     def __init__(

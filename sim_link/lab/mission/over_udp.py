@@ -79,9 +79,10 @@ def fly_over_udp(
     """Fly a mission once, at `speed` seconds per second or as fast as this computer manages.
 
     The speed of a vehicle to `connect` to cannot be changed; that of a simulated one is lowered.
-    The seed is of a simulated vehicle, which is started unless a link to `connect` to is given, its
-    radio and its faults. `keep` is a folder for `.tlog`, event log and output of the processes.
-    `progress` is called after every look. `CompanionError`: a process or link does not start.
+    The seed is that of a simulated vehicle, which is started unless a link to `connect` to is
+    given, its radio and its faults. `keep` is a folder for `.tlog`, event log and output of the
+    processes. `progress` is called after every look. `CompanionError`: a process or link does not
+    start.
     """
     with tempfile.TemporaryDirectory(prefix="mission-") as temporary:
         folder = Path(temporary) if keep is None else keep
@@ -265,7 +266,7 @@ class _UdpFlight:
             self._begin_end(now_s)
 
     def _misfit(self, now_s: float) -> str | None:
-        """Return why this script does not fit the vehicle; empty: it fits; None: not known yet.
+        """Return the reason why the script does not fit the vehicle; empty: it fits; None: unknown.
 
         A vehicle that is not ours keeps its pilot's transmitter: only the pilot can put the
         throttle where a mode for sticks neither climbs nor sinks; ArduPilot's simulator has it at

@@ -26,7 +26,7 @@ QUIET_S = 2.0
 BY_STICKS = "the pilot moves the sticks"
 """The companion's word for the one end of control in its own mode that is a person's choice."""
 GRANT_S = 3.0
-"""Longest delay of a mode's loss: a grant after it is of the time after that mode."""
+"""Longest delay of a mode's loss: a grant after it belongs to the time after that mode."""
 RAISES = (
     mavlink.MAV_CMD_DO_SET_MODE,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,

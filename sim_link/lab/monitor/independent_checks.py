@@ -203,7 +203,7 @@ class Followed:
         )
 
     def has_clock_of(self, frame: Frame) -> bool:
-        """Return True if a frame's stamp is of the very clock of the followed vehicle."""
+        """Return True if a frame's stamp is from the very clock of the followed vehicle."""
         stamp_s, _ = _sign_of(frame)
         if stamp_s is None or self.clock_s is None:
             return True
@@ -281,7 +281,7 @@ class SenderTrust:
         return self._followed is not None and now_s - self._followed.heard_s >= SILENCE_S
 
     def is_beside_unknown_peer(self, frame: Frame) -> bool:
-        """Return True if a frame's ids are of a payload of the unknown peer that is followed."""
+        """Return True if a frame's ids are those of a payload of the followed unknown peer."""
         is_of_it = self._ids is not None and frame.sender[0] == self._ids[0]
         return self.follows_unknown_peer and is_of_it
 
@@ -298,7 +298,7 @@ class SenderTrust:
         self._hardware.clear()
 
     def _is_possible(self, followed: Followed, frame: Frame) -> bool:
-        """Return True if a frame of another address may be of the followed vehicle."""
+        """Return True if a frame of another address may be from the followed vehicle."""
         if followed.is_restart(frame):
             is_of_clock = True
         else:

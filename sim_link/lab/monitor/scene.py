@@ -128,7 +128,7 @@ class ObservedState:
     local frame whose origin was reported later; and its arrival time."""
     origin_sent_at: tuple[float, int] = (-1.0, 0)
     frame_sent_at: tuple[float, int] = (-1.0, 0)
-    """Time of the report that the origin moved; earlier positions are of another frame."""
+    """Time of the report that the origin moved; earlier positions are in another frame."""
     origin_enu_m: PositionEnu = (0.0, 0.0, 0.0)
     """Zero of the local frame, as last reported."""
 
@@ -173,7 +173,7 @@ class ObservedScene:
     must_accept: bool = True
     """True if the last frame had to be accepted."""
     is_indistinct: bool = False
-    """True if it was of another vehicle with our ids and address, and without a signature, or of
+    """True if it was from another vehicle with our ids and address, and without a signature, or of
     ours after a stranger that was followed: the companion may accept it or not."""
     has_silent_vehicle: bool = False
     """True if the vehicle was silent for seconds before the last frame."""
@@ -295,7 +295,7 @@ class ObservedScene:
         ) and all(fence.is_way_clear(start, end) for fence in self.flown_fences)
 
     def note_fence(self, frame: Frame) -> None:
-        """Take a frame that the companion had to accept, if it is of the autopilot's fence."""
+        """Take a frame that the companion had to accept, if it belongs to the autopilot's fence."""
         world = self.world_origin
         if world is None or not self.is_of_autopilot(frame):
             return
@@ -308,8 +308,8 @@ class ObservedScene:
         """Positions where the companion may take the vehicle to be, each with when it arrived.
 
         That is the newest; and, while it would not be stale, the last one before the stamps went
-        back, because some such stamps are no proof yet that the vehicle restarted, or the newest in
-        the frame of an origin that was reported after it.
+        back, because some such stamps are not proof yet that the vehicle restarted, or the newest
+        in the frame of an origin that was reported after it.
         """
         observed, oldest_s = self.observed, self.now_s - self.rules.state_age_s - TICK_S
         newest, other = (observed.position_enu_m, observed.position_s), observed.else_at

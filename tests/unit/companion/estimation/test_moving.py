@@ -44,7 +44,7 @@ def fed(
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [5, 60, pytest.param(700, marks=pytest.mark.slow)])
 def test_after_a_jump_it_is_as_if_it_had_always_been_there(count: int) -> None:
-    """With 700 of them some are in the window no more."""
+    """With 700 of them some are no longer in the window."""
     believed = TrackerParams(filter=params(target_height_sigma_m=5.0))
     rows = walk(np.random.default_rng(1), count + 120, elevations=True)
     jumped = fed(TargetTracker(believed), rows[:count], 0)

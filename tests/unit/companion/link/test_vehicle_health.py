@@ -1,4 +1,4 @@
-"""Messages about health and targets to events; an unknown value is no number."""
+"""Messages about health and targets to events; an unknown value is not a number."""
 
 from __future__ import annotations
 

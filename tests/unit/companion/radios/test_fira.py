@@ -18,7 +18,7 @@ ONE = bytes.fromhex(
     "01 00 00 00 eb 00 73 0c 64 00 06 5f 00 00 00 00 00 00 01 85"
 ) + bytes(11)
 STATUS = bytes.fromhex("60 01 00 01 01")
-"""CORE_DEVICE_STATUS_NTF, which is no ranging."""
+"""CORE_DEVICE_STATUS_NTF, which is not ranging."""
 FRAME = bytes.fromhex(
     "8e 30 00 01 00 00 00 2a 00 00 00 64 00 00 00 22 11 22 11 00 00 02 00 00 fb 80 02 00 00 00 00"
     "5a 50 00 00 1b"

@@ -48,7 +48,7 @@ def suffered(
 
 
 def along_the_shadow(step_m: float, count: int) -> list[tuple[float, float]]:
-    """Return a track to and fro where every position is hidden."""
+    """Return a track back and forth where every position is hidden."""
     metres = step_m * np.arange(count)
     return [(10.0, 45.0 + float(abs((metre % 10.0) - 5.0))) for metre in metres]
 

@@ -1,4 +1,4 @@
-"""A target that walks although it is believed to lie still."""
+"""A target that walks although it is believed to be stationary."""
 
 from __future__ import annotations
 

@@ -216,7 +216,7 @@ def test_rows_in_another_form_are_what_that_antenna_predicts(kind: AntennaKind, 
 
 
 def seen(*off_sigmas: float, count: int = 100) -> Scores:
-    """Directions along one axis that are off by this number of standard deviations, by turns."""
+    """Directions along one axis that are off by this number of standard deviations, alternately."""
     u, is_measured = np.zeros((3, count)), np.zeros((3, count), dtype=bool)
     u[1], is_measured[1] = np.resize(off_sigmas, count), True
     return Scores(u, u, np.zeros((3 * count, 4)), is_measured)

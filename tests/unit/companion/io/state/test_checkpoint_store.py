@@ -1,4 +1,4 @@
-"""Two files by turns: one whole checkpoint survives whatever happens to the other."""
+"""Two files in turn: one whole checkpoint survives whatever happens to the other."""
 
 from __future__ import annotations
 
