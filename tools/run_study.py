@@ -145,7 +145,7 @@ def write_flights(study: Study, flown: Sequence[FlightRow], seed: int, out: Path
 
 
 def run_simulated(arguments: argparse.Namespace, out: Path) -> int:
-    """Fly a study that no file describes; write what came of its flights, in their order."""
+    """Fly a study that no file describes; write the results of its flights, in order."""
     study = SIMULATED[arguments.study]
     runs, fly = range(arguments.runs or study.flights), partial(study.fly, seed=arguments.seed)
     study_run.made_folder(out)

@@ -350,7 +350,7 @@ class ReportedSigmas:
         self._scatters = Scatter(), Scatter(is_angle=True), Scatter(is_angle=True)
 
     def limited(self, measurement: RangingMeasurement, params: FilterParams) -> RangingMeasurement:
-        """Return the measurement with the least standard deviations that count.
+        """Return the measurement with the smallest standard deviations that count.
 
         They are the scatter of its radio, or the assumed ones of `params` if these are smaller or
         the scatter is not known yet.

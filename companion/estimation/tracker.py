@@ -408,7 +408,7 @@ class TargetTracker:
         return objection
 
     def baseline_m(self, sensor_up_m: float) -> float:
-        """Return the least horizontal baseline to the target for an informative range, metres."""
+        """Return the minimum horizontal baseline to the target for an informative range, metres."""
         if self._optimizer.window.has_bearings or not self.hypotheses:
             return 0.0
         mean = self.hypotheses[0].state.mean

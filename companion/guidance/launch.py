@@ -25,7 +25,7 @@ ARM_RETRY_S = 2.0
 UNANSWERED_LIMIT = 3
 """Repetitions of an unanswered request; commands are idempotent."""
 PRESTREAM_S = 1.2
-"""PX4 wants setpoints for more than a second before it enters offboard."""
+"""PX4 requires setpoints for more than a second before it enters offboard."""
 MODE_TIMEOUT_S = 5.0
 BLIND_S = 10.0
 """Time without mode, position or link after which the launch is aborted."""

@@ -131,7 +131,7 @@ class Track:
         return cls(offset_s, now_s, offset_s, now_s, sign.stamp_s, 1, position, position_s)
 
     def late_s(self, sign: Sign, now_s: float) -> float:
-        """Return the delay of a sign over the least one so far, seconds; negative: ahead of it."""
+        """Return the delay of a sign over the shortest so far, seconds; negative: ahead of it."""
         late_s = now_s - sign.stamp_s - self.offset_s
         return late_s - WRAP_S * round(late_s / WRAP_S)
 
@@ -157,7 +157,7 @@ class Track:
         return span_s >= SPAN_S and abs(self.offset_s - self.first_offset_s) <= 0.5 * span_s
 
     def take(self, sign: Sign, now_s: float) -> None:
-        """Follow a sign; the least delay is forgotten slowly, as clocks drift."""
+        """Follow a sign; the shortest delay is forgotten slowly, as clocks drift."""
         late_s = self.late_s(sign, now_s)
         self.offset_s += min(late_s, 0.1 * max(0.0, now_s - self.heard_s))
         self.heard_s, self.stamp_s = now_s, sign.stamp_s

@@ -296,7 +296,7 @@ class Journal(Protocol):
 
 
 class InputRecorder(Protocol):
-    """Receiver of all inputs in their order; never raises and never blocks."""
+    """Receiver of all inputs in order; never raises and never blocks."""
 
     def frame(self, data: bytes, link: int, peer: Address | None, now_s: float) -> None:
         """Record a valid frame that was not our own."""

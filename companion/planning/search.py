@@ -1,6 +1,6 @@
 """Search patterns, flown leg by leg with interruptions, and handed over to crossing on contact.
 
-Theory of operation. A pattern lays out a track, legs in their order (`search_tracks`), which this
+Theory of operation. A pattern lays out a track, legs in order (`search_tracks`), which this
 module flies. The memory holds the track, the leg and the progress along it, so that after an
 interruption (a brief contact, a detour, strong wind) the search resumes where it was left, and no
 part is skipped. A leg that cannot be reached is passed over.

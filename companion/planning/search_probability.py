@@ -8,8 +8,8 @@ flight to it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
 
-Rows of tasks with an order of their own are done in the order of this index for the least mean
-time of discovery (J. B. Sidney, Operations Research 23, 1975; L. D. Stone, Theory of Optimal
+Rows of tasks with an order of their own are done in the order of this index for the shortest
+mean time of discovery (J. B. Sidney, Operations Research 23, 1975; L. D. Stone, Theory of Optimal
 Search). The current track is left only for a rate that exceeds its own by `LEAVE_RATIO`. Beginnings
 that leave no charge for the way home do not count.
 

@@ -1,4 +1,4 @@
-"""Tracks of search patterns: legs to fly in their order, clipped to free space.
+"""Tracks of search patterns: legs to fly in order, clipped to free space.
 
 The patterns are those of the IAMSAR manual for one search unit:
 

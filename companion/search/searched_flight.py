@@ -3,7 +3,7 @@
 Outlines and gaps of a search grid: where something holds, as polygons and in words.
 
 Outlines run along the sides of cells and claim nothing finer than the grid does. The outside is
-counter-clockwise and holes are clockwise, as RFC 7946 wants it.
+counter-clockwise and holes are clockwise, as RFC 7946 requires.
 """
 
 from __future__ import annotations

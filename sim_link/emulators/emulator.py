@@ -170,7 +170,7 @@ class LineEmulator(Emulator):
     """True if an emitter that did not answer has a line, too."""
 
     def encode(self, asked: Round) -> bytes:
-        """Return the lines of each emitter, in their order."""
+        """Return the lines of each emitter, in order."""
         answers = asked.answers if self.prints_silence else asked.heard
         return lines([text for each in answers for text in self.lines_of(each, asked)])
 

@@ -83,7 +83,7 @@ class NodeState:
     position_m: PositionEnu = (0.0, 0.0, 0.0)
     velocity_mps: PositionEnu = (0.0, 0.0, 0.0)
     inertial: bytes = bytes(71)
-    """Gyroscope, accelerometer and derived fields in their order of the frame."""
+    """Gyroscope, accelerometer and derived fields in the order of the frame."""
     reserved: bytes = bytes(10)
 
 

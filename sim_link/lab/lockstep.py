@@ -369,7 +369,7 @@ COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 class Operator:
     """Ground station with a separate link to the vehicle, which no fault affects.
 
-    It signs, from a Unix time at the start of the flight on, where the vehicle wants that.
+    It signs, from a Unix time at the start of the flight on, where the vehicle requires that.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 It is the Cramer-Rao bound of the scenario's own model: thermal noise, Gauss-Markov errors of the
 vehicle's position and height about their current value, and the priors of offset, height and
 bearing offset with which the estimator is configured. Without reflections no estimator beats it.
-With them, as spatially correlated errors of the same variance, it is the least error of a linear
+With them, as spatially correlated errors of the same variance, it is the smallest error of a linear
 estimator. Every measurement arrives, and the noise is known. Received power has no bound here.
 """
 

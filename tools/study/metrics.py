@@ -212,7 +212,7 @@ def position_bounds_m2(
     bearing_per_rad2: Vector,
     prior: Vector,
 ) -> Vector:
-    """Return the least trace of the position's covariance after every step of a track, m^2.
+    """Return the smallest trace of the position's covariance after every step of a track, m^2.
 
     The track is (steps, 2); the bound is infinite where the position is unobservable. The offsets
     do not mix, so that the position's marginal information is found without a matrix inverse. Of

@@ -47,7 +47,7 @@ MAX_ACCELERATION_MPS2 = 10.0
 squared."""
 LEAST_TURN_RAD = math.radians(15.0)
 MAX_TURN_RADPS = math.radians(120.0)
-"""Fastest change of a heading, beyond the least turn."""
+"""Fastest change of a heading, beyond the smallest turn."""
 MAX_GAP_S = 1.0
 """Longest time between two reports that are compared."""
 STEADY_S = 2.0

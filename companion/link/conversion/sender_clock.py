@@ -125,9 +125,9 @@ class Timebase:
         """Rate at the latest stamp."""
         self._offset_s = offset_s
         self._arrival_rate = NO_RATE
-        """Rate by the least delays of the last seconds."""
+        """Rate by the shortest delays of the last seconds."""
         self._minima: deque[tuple[float, float]] = deque(maxlen=BUCKETS)
-        """Arrival and offset of the least delay of each interval."""
+        """Arrival and offset of the shortest delay of each interval."""
         self._bucket_until_s = 0.0
         self.gain_s = 0.0
         """Gain of the clock on ours that the latest stamp showed, seconds; 0: none."""
@@ -187,7 +187,7 @@ class Timebase:
         return StampReading(min(now_s, remote_s + self._offset_s - self.rate.growth * late_s))
 
     def _fit_rate(self, now_s: float) -> float | None:
-        """Fit the rate by arrival; return the least offset now if it has just become known."""
+        """Fit the rate by arrival; return the smallest offset now if it has just become known."""
         if len(self._minima) < FEWEST_BUCKETS:
             return None
         times_s, offsets_s = zip(*self._minima, strict=True)

@@ -6,7 +6,7 @@ silent about NaN and reports only read-only parameters. A parameter is never cre
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 
-The set is fixed when a store is made, as the guide wants: names and indices never change at run
+The set is fixed when a store is made, as the guide requires: names and indices never change at run
 time. A scenario's value is refused rather than clipped, a client's is not. What differs from the
 defaults is kept as lines `NAME VALUE`, the form that ArduPilot's tools write too.
 """

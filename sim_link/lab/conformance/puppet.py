@@ -157,7 +157,7 @@ class CompanionProbe(Station):
     def give_control(self) -> None:
         """Hand over to the companion; `NotApplicable` if it streams nothing.
 
-        PX4 wants the stream to run before; ArduPilot does not, so a companion may begin with it.
+        PX4 requires the stream to run before; ArduPilot does not, so a companion may begin with it.
         """
         if self.flavour is Flavour.PX4:
             self.await_setpoints()

@@ -4,7 +4,7 @@ Nothing here is shared with the companion's guard and codec but the key, so that
 does not excuse itself in the other. Points are east and north, metres.
 
 The autopilot's fences are those of the frames that reached the companion. A fence counts from when
-its last item has arrived: all items since the last MISSION_COUNT, in their order. In the air every
+its last item has arrived: all items since the last MISSION_COUNT, in order. In the air every
 one of the flight counts on, on the ground only the newest.
 
 Source: MAVLink developer guide, "Mission Protocol"; MAVLink common, MAV_CMD_NAV_FENCE_*.

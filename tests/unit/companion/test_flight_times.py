@@ -39,7 +39,7 @@ class Watching(run.FlightView):
         self.noted_unix_s.append(time.time())
 
     def least_delay_s(self, logged_unix_s: list[float]) -> float:
-        """Return the least delay of records after the log's times; a busy computer adds to it."""
+        """Return the shortest delay of records after the log's times; a busy computer adds."""
         assert len(logged_unix_s) >= 3
         pairs = zip(self.noted_unix_s, logged_unix_s, strict=False)
         return min(noted_s - logged_s for noted_s, logged_s in pairs)

@@ -1,4 +1,4 @@
-"""GeoJSON as RFC 7946 wants it."""
+"""GeoJSON as RFC 7946 requires."""
 
 import itertools
 import json

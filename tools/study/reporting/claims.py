@@ -82,7 +82,7 @@ class Findings:
         }
 
     def find(self, system: System, *tables: str) -> list[CellResult]:
-        """Return a system's cells in tables, in their order."""
+        """Return a system's cells in tables, in order."""
         return [cell for cell in self.cells if cell.system == system and cell.table in tables]
 
     def of(self, system: System, *tables: str) -> list[CellResult]:

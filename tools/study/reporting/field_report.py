@@ -44,7 +44,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 
 def by_cell(rows: Iterable[FlightRow]) -> dict[tuple[str, str, str], list[FlightRow]]:
-    """Return the flights of every radio, planner and configuration, in their order."""
+    """Return the flights of every radio, planner and configuration, in order."""
     cells: dict[tuple[str, str, str], list[FlightRow]] = {}
     for row in rows:
         cells.setdefault((row.radio, row.planner, row.config), []).append(row)

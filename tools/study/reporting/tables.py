@@ -136,7 +136,7 @@ class TableView:
 
 
 def tables_of(rows: Iterable[ResultRow]) -> list[TableView]:
-    """Return a table for each table, parameter and metric of the rows, in their order."""
+    """Return a table for each table, parameter and metric of the rows, in order."""
     grouped: dict[tuple[str, str], dict[Key, ResultRow]] = {}
     for row in rows:
         own = grouped.setdefault((row.table, row.parameter), {})

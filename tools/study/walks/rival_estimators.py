@@ -191,7 +191,7 @@ def _factor(batch: Batch, which: int) -> Callable[[Any, Any, Any], Vector]:
 
 
 class _WalkMeasurement(NonLinearGaussianMeasurement):  # type: ignore[misc]  # it has no types
-    """Range, bearing or both at one time, as Stone-Soup wants it."""
+    """Range, bearing or both at one time, as Stone-Soup requires."""
 
     batch: Any = None
     row: int = 0

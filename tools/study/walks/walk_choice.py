@@ -96,7 +96,7 @@ def score(targets: Sequence[TargetClaims]) -> float:
 
 
 def rank(targets: Sequence[TargetClaims]) -> tuple[float, float]:
-    """Return how far the claims stay below `HELD_SHARE`, and the `score`; the least is best."""
+    """Return how far the claims stay below `HELD_SHARE`, and the `score`; the smallest is best."""
     claims = [claim for t in targets for claim in t.along if claim.is_localised]
     held = sum(claim.is_inside for claim in claims) / len(claims) if claims else 1.0
     return max(0.0, HELD_SHARE - held), score(targets)
