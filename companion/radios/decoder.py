@@ -199,8 +199,6 @@ class RadioKind:
     """Device that the hidden person must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
     transport: str = "serial:115200"
     """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
-    needs_emitter: bool = False
-    """True if the format names no emitter, so that the settings must."""
     needs_offset: bool = False
     """True if its ranges have an offset of the single device that may be longer than the search:
     without `range_offset_m` or `offset_steps` nothing is localised."""
