@@ -20,6 +20,7 @@ from dataclasses import replace
 from companion.domain import (
     DEFAULT_ACCURACY,
     GNSS_VERTICAL_RATIO,
+    MAX_COORDINATE_M,
     Attitude,
     PositionAccuracy,
     PositionEnu,
@@ -33,8 +34,6 @@ HISTORY_S = 3.0
 """Longest delay of a measurement."""
 MAX_EXTRAPOLATION_S = 0.3
 """Longest extrapolation beyond the newest state."""
-MAX_COORDINATE_M = 1e5
-"""Largest coordinate for which a flat local frame is valid."""
 MAX_SPEED_MPS = 300.0
 MAX_GAP_S = 1.0
 """Two states farther apart than this are not interpolated between."""

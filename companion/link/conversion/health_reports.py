@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from companion.domain import BatteryLevel
+from companion.domain import MAX_COORDINATE_M, BatteryLevel
 from companion.geometry.coordinates import enu_from_ned
 from companion.guidance.events import (
     AccuracySource,
@@ -48,8 +48,6 @@ FIRST_BATTERY = 0
 CENTRE_US, HALF_TRAVEL_US = 1500.0, 500.0
 PULSES_US = range(800, 2201)
 """Valid range of RC pulses."""
-MAX_COORDINATE_M = 1e6
-"""Limit of a target's coordinates from the origin."""
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 FULL_THROTTLE_PCT = 100
 

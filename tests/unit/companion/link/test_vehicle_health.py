@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.domain import BatteryLevel
+from companion.domain import MAX_COORDINATE_M, BatteryLevel
 from companion.guidance.events import (
     AccuracySource,
     BatteryReported,
@@ -80,6 +80,10 @@ def test_a_target_is_a_place() -> None:
 @pytest.mark.parametrize("message", [target(NAN, 2.0, -3.0), target(1.0, 2.0, -3.0, mask=0x7)])
 def test_a_target_without_a_position_is_one_all_the_same(message: Message) -> None:
     assert events(message) == [SetpointEchoed(5.0, None)]
+
+
+def test_a_target_outside_the_local_frame_is_none() -> None:
+    assert events(target(1.1 * MAX_COORDINATE_M, 2.0, -3.0)) == []
 
 
 def test_a_target_in_another_frame_cannot_be_compared() -> None:
