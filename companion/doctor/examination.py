@@ -43,7 +43,12 @@ from companion.guidance.vehicle import vehicle_refusal
 from companion.io.files import write_bytes_atomic
 from companion.io.links.transports import Transport, check_exposure, parse_flight_link
 from companion.io.shell import Clock, Shell
-from companion.io.state_directory import VehicleLock, load_signing_key, state_directory
+from companion.io.state_directory import (
+    VehicleLock,
+    load_signing_key,
+    resolved_address,
+    state_directory,
+)
 from companion.kernel import IS_NATIVE, IS_SWITCHED_OFF
 from companion.link.intake import Authenticity
 from companion.link.interface import LinkRole
@@ -390,7 +395,7 @@ def inspect_link(
 ) -> LinkFacts:
     """Listen on the vehicle's link; `can_sign`: the key, if any, is usable."""
     name = link_name(link)
-    lock = VehicleLock(state, name, config.vehicle.system_id)
+    lock = VehicleLock(state, name, config.vehicle.system_id, resolved_address(link))
     keeper = open_signing(config) if can_sign else None
     clock = Clock()
     try:

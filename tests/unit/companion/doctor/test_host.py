@@ -5,7 +5,14 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from companion.doctor.examination import inspect_folder, inspect_host
+import pytest
+
+from companion.config.schema import CompanionConfig
+from companion.doctor.examination import inspect_folder, inspect_host, inspect_link
+from companion.errors import LinkError
+from companion.io.links.transports import UdpConnect
+from companion.io.state_directory import VehicleLock, resolved_address
+from companion.run import link_name
 
 
 def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
@@ -35,6 +42,14 @@ def test_a_key_that_others_may_read_is_told(tmp_path: Path) -> None:
     assert "abab" not in host.key_problem
     key.chmod(0o600)
     assert inspect_host(tmp_path, tmp_path, str(key)).key_problem is None
+
+
+def test_a_vehicle_that_a_companion_flies_is_left_alone(tmp_path: Path) -> None:
+    link = UdpConnect("localhost", 14580)
+    lock = VehicleLock(tmp_path, link_name(link), None, resolved_address(link))
+    with pytest.raises(LinkError, match="another companion"):
+        inspect_link(CompanionConfig(), link, 0.1, tmp_path, can_sign=False)
+    lock.release()
 
 
 def test_this_computer_is_known(tmp_path: Path) -> None:
