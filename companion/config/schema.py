@@ -7,6 +7,7 @@ contradictions between records.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -289,11 +290,16 @@ class CompanionConfig(Params, frozen=True):
         return None if detection is None else detection.model(self.estimation.filter.reach_m)
 
 
+FOLDERS = ("log.directory", "process.state_directory")
+FILES = ("link.signing_key_file", "limits.fence_file", "search.area_file")
+
+
 def load_config(path: Path | None) -> CompanionConfig:
     """Return the configuration in a file, or the defaults; a `ConfigError` names file and key."""
     if path is None:
         return CompanionConfig()
     config = load_yaml(path, CompanionConfig, lambda raw: renew(raw, str(path)))
+    config = _from_home(config, path)
     if config.limits.fence_file is not None:
         beside = str(path.parent / config.limits.fence_file)
         limits = msgspec.structs.replace(config.limits, fence_file=beside)
@@ -313,6 +319,20 @@ def load_config(path: Path | None) -> CompanionConfig:
     problem = inconsistency(config)
     if problem is not None:
         raise ConfigError(f"{path}: {problem}")
+    return config
+
+
+def _from_home(config: CompanionConfig, path: Path) -> CompanionConfig:
+    """Return the configuration with the home folder for `~` in its paths, as a shell has it."""
+    for name in (*FOLDERS, *FILES):
+        section, _, key = name.partition(".")
+        record = getattr(config, section)
+        text = getattr(record, key) or ""
+        if (full := os.path.expanduser(text)).startswith("~"):
+            raise ConfigError(f"{path}: $.{name}: there is no home folder for {text}")
+        if full != text:
+            record = msgspec.structs.replace(record, **{key: full})
+            config = msgspec.structs.replace(config, **{section: record})
     return config
 
 

@@ -55,7 +55,7 @@ def state_directory(configured: str | None, environment: Mapping[str, str]) -> P
     unsafe.
     """
     if configured is not None:
-        return Path(configured).expanduser()
+        return Path(configured)
     of_service = environment.get("STATE_DIRECTORY", "").partition(":")[0]
     if of_service.startswith("/"):
         return Path(of_service)

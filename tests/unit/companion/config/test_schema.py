@@ -33,6 +33,27 @@ def test_default_preset_spells_out_the_defaults() -> None:
     assert load_config(None) == CompanionConfig()
 
 
+def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/pilot")
+    file = tmp_path / "flight.yaml"
+    file.write_text("log: {directory: ~/logs}\nlink: {signing_key_file: '~/key'}\n")
+    config = load_config(file)
+    assert config.log.directory == "/home/pilot/logs"
+    assert config.link.signing_key_file == "/home/pilot/key"
+    file.write_text("limits: {fence_file: ~/fence.kml}\n")
+    with pytest.raises(ConfigError, match=r"fence_file: /home/pilot/fence.kml: no such file"):
+        load_config(file)
+
+
+def test_a_tilde_without_a_home_folder_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "flight.yaml"
+    file.write_text("log: {directory: ~no_such_user/it}\n", encoding="utf-8")
+    with pytest.raises(
+        ConfigError, match=r"flight.yaml: \$.log.directory: there is no home folder"
+    ):
+        load_config(file)
+
+
 def test_default_preset_names_every_key() -> None:
     text = (ROOT / "configs/companion/default.yaml").read_text()
     for record in _records(CompanionConfig()):
