@@ -1,14 +1,16 @@
-"""Builders of planner, session, endpoint and `flight.json` from a configuration.
+"""Builders of planner, session, endpoint, journal and `flight.json` from a configuration.
 
 `flight.json` describes the setup of a flight, for its replay and its report.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import platform
-from collections.abc import Sequence
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +24,7 @@ from companion.config.schema import CompanionConfig
 from companion.config.search_files import read_search_site
 from companion.config.tunables import Tunables
 from companion.config.versions import renew
-from companion.errors import ConfigError
+from companion.errors import CompanionError, ConfigError
 from companion.estimation.antenna import (
     ABOUT_VERTICAL,
     AntennaKind,
@@ -34,8 +36,16 @@ from companion.guidance.emitters import EmitterQueue
 from companion.guidance.searching import Searching
 from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import kept_offsets, radio_key
-from companion.io.files import FLIGHT, write_bytes_atomic
+from companion.io.files import (
+    FLIGHT,
+    MCAP,
+    delete_old_flights,
+    new_flight_directory,
+    write_bytes_atomic,
+)
+from companion.io.flight_recorder import FlightJournal
 from companion.io.links.transports import FlightLink, parse_flight_link, radio_link
+from companion.io.mcap_file import McapLog
 from companion.io.state_directory import state_directory
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
@@ -58,6 +68,7 @@ from companion.planning.views import Antenna
 from companion.search.outlook import LegTable
 from companion.search.search_grid import SearchSite
 
+log = logging.getLogger("companion.run")
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
 """Number of direction rows for the choice of crossings; 0: as in the paper."""
 
@@ -252,8 +263,51 @@ def write_facts(directory: Path, facts: FlightFacts) -> None:
 
 
 def facts_as_json(facts: FlightFacts) -> bytes:
-    """Return the content of `flight.json`."""
-    return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
+    """Return the content of `flight.json`; raise `ConfigError` for a path that is no text."""
+    try:
+        return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
+    except UnicodeEncodeError as error:
+        raise ConfigError(f"{error.object}: this name is not UTF-8; rename it") from None
+
+
+def open_journal(
+    config: CompanionConfig,
+    links: Sequence[LinkSpec],
+    parameters: Mapping[str, float],
+    started_unix_s: float,
+) -> FlightJournal:
+    """Return the journal of a new flight, with earlier changes of a ground station.
+
+    All its times are `started_unix_s` plus the flight's own: it is the wall clock at the flight's
+    zero, however the clock is set later.
+    """
+    facts = FlightFacts(
+        started_unix_s=started_unix_s,
+        links=len(links),
+        gcs_links=sum(link.role is LinkRole.GCS for link in links),
+        config=config,
+        parameters=dict(parameters),
+    )
+    flight_json = facts_as_json(facts)
+    root, keep, max_bytes = (
+        Path(config.log.directory),
+        config.log.keep_flights,
+        config.log.max_bytes,
+    )
+    directory = new_flight_directory(root, started_unix_s)
+    if keep is not None and (deleted := delete_old_flights(root, keep, directory)):
+        log.info("log.keep_flights: deleted %d older flights", len(deleted))
+    mcap = None
+    try:
+        write_bytes_atomic(directory / FLIGHT, flight_json)
+        if config.log.mcap:
+            mcap = McapLog(directory / MCAP, started_unix_s, flight_json.decode(), max_bytes)
+        journal = FlightJournal(directory, started_unix_s, max_bytes, mcap)
+    except CompanionError:
+        shutil.rmtree(directory, ignore_errors=True)
+        raise
+    log.info("flight log: %s", directory)
+    return journal
 
 
 def open_flight(path: Path) -> RecordedFlight:

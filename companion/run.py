@@ -34,21 +34,17 @@ from companion.diagnostics import (
 )
 from companion.errors import CompanionError, LinkError
 from companion.flight_setup import (
-    FlightFacts,
     build_endpoint,
     build_planner,
-    facts_as_json,
-    write_facts,
+    open_journal,
 )
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.io.checkpoints import CheckpointStore
-from companion.io.files import MCAP, delete_old_flights, new_flight_directory
 from companion.io.flight_recorder import BlackBox, FlightJournal
 from companion.io.links.link import NOTICE
 from companion.io.links.transports import FlightLink, Transport, make_link
-from companion.io.mcap_file import McapLog
 from companion.io.shell import Clock, Shell
 from companion.io.state_directory import (
     SigningKeeper,
@@ -103,38 +99,6 @@ def open_signing(config: CompanionConfig) -> SigningKeeper | None:
         return None
     path = Path(config.link.signing_key_file)
     return open_signing_keeper(path, load_signing_key(path), ONE_LINK_EACH)
-
-
-def open_journal(
-    config: CompanionConfig,
-    links: Sequence[LinkSpec],
-    parameters: Mapping[str, float],
-    started_unix_s: float,
-) -> FlightJournal:
-    """Return the journal of a new flight, with earlier changes of a ground station.
-
-    All its times are `started_unix_s` plus the flight's own: it is the wall clock at the flight's
-    zero, however the clock is set later.
-    """
-    root = Path(config.log.directory)
-    directory = new_flight_directory(root, started_unix_s)
-    keep = config.log.keep_flights
-    if keep is not None and (deleted := delete_old_flights(root, keep, directory)):
-        log.info("log.keep_flights: deleted %d older flights", len(deleted))
-    facts = FlightFacts(
-        started_unix_s=started_unix_s,
-        links=len(links),
-        gcs_links=sum(link.role is LinkRole.GCS for link in links),
-        config=config,
-        parameters=dict(parameters),
-    )
-    write_facts(directory, facts)
-    mcap = None
-    if config.log.mcap:
-        flight_json = facts_as_json(facts).decode()
-        mcap = McapLog(directory / MCAP, started_unix_s, flight_json, config.log.max_bytes)
-    log.info("flight log: %s", directory)
-    return FlightJournal(directory, started_unix_s, config.log.max_bytes, mcap)
 
 
 def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -> BlackBox:
