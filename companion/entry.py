@@ -110,7 +110,8 @@ def main() -> int:
     """Load the command and run it; the exit code is that of `companion.cli.main`.
 
     A Ctrl-C while the command is imported ends the process as the system does, without a
-    traceback. A SIGINT that the parent had ignored (nohup) stays ignored.
+    traceback. A SIGINT that the parent had ignored (nohup) stays ignored. SIGTERM is a Ctrl-C from
+    then on: it is reported, and files that are being written are removed.
     """
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:
@@ -119,8 +120,14 @@ def main() -> int:
     kernel_cache.forgoes_compiler = True
     from companion.cli import main as run
 
+    def obey() -> None:
+        """Let signals interrupt the command."""
+        signal.signal(signal.SIGINT, before)
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
+
     try:
-        code = run(on_loaded=lambda: signal.signal(signal.SIGINT, before))
+        code = run(on_loaded=obey)
         sys.stdout.flush()
     except OutputLostError as error:
         sys.stderr.write(f"companion: standard output: {error.strerror}\n")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -152,6 +153,18 @@ def test_a_full_disk_under_the_output_is_one_line_and_a_failed_run(tmp_path: Pat
     assert done.returncode == 1
     assert done.stderr == b"companion: standard output: No space left on device\n"
     assert run("companion config show --config none.yaml 2> /dev/full", tmp_path).returncode == 2
+
+
+def test_a_termination_ends_a_command_with_one_line(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "walk.csv")
+    command = [sys.executable, "-m", "companion", "replay", "walk.csv"]
+    with (
+        subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as replay,
+        open(tmp_path / "walk.csv", "wb"),  # opens once the command reads
+    ):
+        replay.send_signal(signal.SIGTERM)
+        _, said = replay.communicate(timeout=60.0)
+    assert (replay.returncode, said) == (1, b"companion: interrupted\n")
 
 
 def test_without_a_home_state_is_never_in_a_shared_folder(tmp_path: Path) -> None:
