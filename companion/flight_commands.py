@@ -77,7 +77,7 @@ def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:
         config = with_fence(config, arguments.fence)
     if arguments.signing_key is not None:
         config = with_signing_key(config, arguments.signing_key)
-    return with_kept_offsets(with_radios(config, arguments.radio))
+    return with_kept_offsets(with_radios(config, arguments.radio, arguments.fly_config))
 
 
 def fly_demo(arguments: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
@@ -171,11 +172,12 @@ def _put(record: dict[str, Any], key: str, value: object) -> None:
 
 
 def flown_radios(
-    configured: Sequence[RadioConfig], options: Sequence[str]
+    configured: Sequence[RadioConfig], options: Sequence[str], file: Path | None = None
 ) -> tuple[RadioConfig, ...]:
     """Return the radios of a file and of the command line; `ConfigError` if one has no address.
 
-    The second option of a name goes to the file's second radio of that name, and so on.
+    With `file` they are also checked, and its errors name it. The second option of a name goes to
+    the file's second radio of that name, and so on.
     """
     radios = list(configured)
     taken: Counter[str] = Counter()
@@ -190,9 +192,12 @@ def flown_radios(
         taken[name] += 1
     for number, radio in enumerate(radios):
         if radio.url is None:
+            source = "" if file is None else f"{file}: $."
             raise ConfigError(
-                f"radios[{number}].url: is missing; give it, or --radio {radio.name}@URL"
+                f"{source}radios[{number}].url: is missing; give it, or --radio {radio.name}@URL"
             )
+    if file is not None:
+        radio_setups(radios, configured, file)
     return tuple(radios)
 
 
@@ -211,9 +216,19 @@ def replayed_radios(
     return tuple(radios)
 
 
-def radio_setups(radios: Sequence[RadioConfig]) -> tuple[RadioSetup, ...]:
-    """Return `radio_setup` of each."""
-    return tuple(
-        radio_setup(radio, f"radios[{number}] ({radio.name})")
-        for number, radio in enumerate(radios)
-    )
+def radio_setups(
+    radios: Sequence[RadioConfig], configured: Sequence[RadioConfig] = (), file: Path | None = None
+) -> tuple[RadioSetup, ...]:
+    """Return `radio_setup` of each; an error of one that is as `configured` names that file."""
+    setups = []
+    for number, radio in enumerate(radios):
+        is_of_file = number < len(configured) and radio is configured[number]
+        is_of_file = is_of_file and file is not None
+        where = f"{f'{file}: $.' if is_of_file else ''}radios[{number}] ({radio.name})"
+        try:
+            setups.append(radio_setup(radio, where))
+        except ConfigError as error:
+            if is_of_file and not str(error).startswith(where):
+                raise ConfigError(f"{where}: {error}") from None
+            raise
+    return tuple(setups)

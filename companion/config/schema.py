@@ -359,11 +359,12 @@ def with_signing_key(config: CompanionConfig, path: Path) -> CompanionConfig:
     return msgspec.structs.replace(config, link=link)
 
 
-def with_radios(config: CompanionConfig, options: Sequence[str]) -> CompanionConfig:
-    """Return the configuration with the radios of `--radio` as well; see `flown_radios`."""
-    radios = flown_radios(config.radios, options)
-    if radios != config.radios:
-        config = msgspec.structs.replace(config, radios=radios)
+def with_radios(
+    config: CompanionConfig, options: Sequence[str], file: Path | None = None
+) -> CompanionConfig:
+    """Return the configuration of a file with the radios of `--radio`; see `flown_radios`."""
+    radios = flown_radios(config.radios, options, file)
+    config = msgspec.structs.replace(config, radios=radios)
     problem = _mounted_twice(config)
     if problem is not None:
         raise ConfigError(problem)

@@ -422,7 +422,7 @@ def run(arguments: argparse.Namespace) -> int:
     config = load_config(arguments.config)
     if arguments.key is not None:
         config = with_signing_key(config, arguments.key)
-    config = with_kept_offsets(with_radios(config, arguments.radios))
+    config = with_kept_offsets(with_radios(config, arguments.radios, arguments.config))
     link = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:
         has_key = config.link.signing_key_file is not None

@@ -226,7 +226,7 @@ def _record(arguments: argparse.Namespace) -> None:
     """Make the recording that is then fitted, as `companion radio record` does."""
     if arguments.link is None:
         raise ConfigError("--radio: needs --connect URL, the autopilot that knows where it is")
-    config = with_radios(load_config(arguments.config), arguments.radios)
+    config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
     vehicle = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:
         check_exposure(radio_links(config.radios), has_key=False)
@@ -303,7 +303,7 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     distance_m = arguments.beside
     if not 0.0 <= distance_m <= MOST_BESIDE_M:
         raise ConfigError(f"--beside {distance_m:g}: give metres from 0 to {MOST_BESIDE_M:g}")
-    config = with_radios(load_config(arguments.config), arguments.radios)
+    config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
     if len(config.radios) != 1:
         raise ConfigError("--beside: name one radio, --radio NAME@URL")
     (link,), (radio,) = radio_links(config.radios), config.radios

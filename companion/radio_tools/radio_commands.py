@@ -224,7 +224,8 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 def _radios_of(arguments: argparse.Namespace) -> CompanionConfig:
     """Return the configuration with at least one radio, none of them on the network."""
-    config = with_kept_offsets(with_radios(load_config(arguments.config), arguments.radios))
+    config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
+    config = with_kept_offsets(config)
     if not config.radios:
         raise ConfigError("name a radio, for example nlink@/dev/ttyUSB0, or a --config with radios")
     if not arguments.is_insecure:

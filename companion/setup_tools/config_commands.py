@@ -200,7 +200,7 @@ def run(arguments: argparse.Namespace) -> int:
     for radio in arguments.radios:
         config = with_radios(config, [radio])
         steps.append((f"--radio {radio}", config))
-    radio_setups(config.radios)  # what a flight refuses
+    radio_setups(config.radios, steps[0][1].radios, arguments.config)  # what a flight refuses
     values = shown_values(arguments.config, steps)
     if arguments.changed:
         values = [each for each in values if each.origin != DEFAULT]

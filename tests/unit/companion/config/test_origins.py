@@ -78,7 +78,7 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
 @pytest.mark.parametrize(
     ("radio", "complaint"),
     [
-        ("name: nlnk", "radio nlnk: no such radio; did you mean nlink?"),
+        ("name: nlnk", "radios[0] (nlnk): radio nlnk: no such radio; did you mean nlink?"),
         (
             "name: makerfabs_at, options: {hiden: tag}",
             "radios[0] (makerfabs_at): options.hiden: unknown key; did you mean hidden?",
@@ -95,7 +95,7 @@ def test_a_radio_that_a_flight_refuses_is_refused(
 ) -> None:
     site.write_text(f"radios: [{{{radio}}}]")
     assert main(["config", "show", "--config", str(site)]) == EXIT_BAD_INPUT
-    assert capsys.readouterr().err.startswith(f"companion: {complaint}")
+    assert capsys.readouterr().err.startswith(f"companion: {site}: $.{complaint}")
 
 
 @pytest.fixture

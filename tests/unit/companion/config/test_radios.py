@@ -141,6 +141,30 @@ def test_a_radio_that_is_nowhere_is_refused() -> None:
         flown_radios([RadioConfig(name="ndjson")], [])
 
 
+@pytest.mark.parametrize(
+    ("radio", "problem"),
+    [
+        (
+            "{name: ndjsn, url: x}",
+            r"^site.yaml: \$.radios\[0\] \(ndjsn\): radio ndjsn: no such radio",
+        ),
+        (
+            "{name: ndjson, url: x, options: {volume: 3}}",
+            r"^site.yaml: \$.radios\[0\] .*: options.vol",
+        ),
+        ("{name: ndjson}", r"^site.yaml: \$.radios\[0\].url: is missing"),
+    ],
+)
+def test_a_radio_of_a_file_is_refused_with_its_file(radio: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        with_radios(config_of(f"radios: [{radio}]"), [], Path("site.yaml"))
+
+
+def test_an_option_of_the_command_line_is_not_the_files_fault() -> None:
+    with pytest.raises(ConfigError, match=r"^radios\[0\] \(ndjson\): options.volume"):
+        with_radios(config_of(FILE), ["ndjson:volume=3@x"], Path("site.yaml"))
+
+
 def test_a_replay_takes_other_settings_by_name_and_order() -> None:
     flown = [RadioConfig(name="ndjson", url="a"), RadioConfig(name="ndjson", url="b")]
     other = [RadioConfig(name="nlink"), RadioConfig(name="ndjson", settings={"lag_s": 0.5})]
