@@ -15,6 +15,7 @@ import argparse
 import getpass
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -104,6 +105,11 @@ def remove_files(directory: Path) -> list[str]:
     if record is None:
         raise ConfigError(f"{directory}: no setup was made here ({RECORD} is missing)")
     lines = []
+    for path in (*map(Path, record.files), directory / RECORD):
+        if not os.access(path.parent, os.W_OK):
+            raise CompanionError(
+                f"{path}: cannot be removed; run it as the owner of the folder, or with sudo"
+            )
     for name, checksum in record.files.items():
         path = Path(name)
         if path.exists() and _sum(read_file(path)) != checksum:
@@ -117,10 +123,12 @@ def remove_files(directory: Path) -> list[str]:
 
 def _record(directory: Path) -> SetupRecord | None:
     path = directory / RECORD
-    if not path.exists():
-        return None
     try:
-        return msgspec.json.decode(read_file(path), type=SetupRecord)
+        return msgspec.json.decode(path.read_bytes(), type=SetupRecord)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{path}: is not what a setup wrote ({error})") from None
 
@@ -236,9 +244,7 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
     link = links[0].transport
     files = {directory / name: content for name, content in contents.items()}
     if arguments.unit_directory is not None:
-        files[arguments.unit_directory / UNIT] = unit(
-            directory, arguments.user or getpass.getuser()
-        )
+        files[arguments.unit_directory / UNIT] = unit(directory, arguments.user or _own_name())
     write_files(directory, files)
     _say(*(f"wrote {path}" for path in files))
     return _finish(arguments, choices, link, directory)
@@ -272,17 +278,17 @@ def _findings(config: CompanionConfig, link: Transport) -> list[CheckResult]:
 
 
 def _next(choices: Choices, directory: Path, arguments: argparse.Namespace) -> list[str]:
-    config = directory / CONFIG
+    config = shlex.quote(str(directory / CONFIG))
     lines = [
         "then:",
-        f"  companion doctor --connect {choices.connect} --config {config}",
+        f"  companion doctor --connect {shlex.quote(choices.connect)} --config {config}",
         f"  companion {options(choices)} --config {config}",
     ]
     has_unit = any((folder / UNIT).exists() for folder in SYSTEM_UNITS) and directory == SYSTEM
     if arguments.unit_directory is not None or has_unit:
         lines.append("or at every start of the computer:")
         lines.append("  systemctl daemon-reload && systemctl enable --now companion")
-    return [*lines, f"undo: companion setup --remove --directory {directory}"]
+    return [*lines, f"undo: companion setup --remove --directory {shlex.quote(str(directory))}"]
 
 
 def options(choices: Choices) -> str:
@@ -331,17 +337,39 @@ def unit(directory: Path, user: str) -> bytes:
     """Return the program's own unit for this installation."""
     text = read_text(shipped_file(f"systemd/{UNIT}"))
     program = shutil.which("companion") or str(Path(sys.argv[0]).absolute())
-    text = text.replace("/opt/companion/bin/companion", program)
-    text = text.replace(f"{SYSTEM}/", f"{directory.absolute()}/")
+    text = text.replace("/opt/companion/bin/companion", _unit_word(program))
+    config = _unit_word(str(directory.absolute() / CONFIG))
+    text = text.replace(f"{SYSTEM}/{CONFIG}", config)
+    text = text.replace(f"{SYSTEM}/", f"{directory.absolute()}/".replace("%", "%%"))
     if any(each.is_relative_to(home) for each in (Path(program), directory) for home in HOMES):
         text = text.replace("ProtectHome=yes", "ProtectHome=read-only")
     return text.replace("User=companion\n", f"User={user}\n").encode()
 
 
+def _unit_word(path: str) -> str:
+    """Return a path as one word of a command in a unit: systemd.service(5), "Command lines"."""
+    for character in "%$":
+        path = path.replace(character, 2 * character)
+    if not re.search(r"""[\s"'\\;]""", path):
+        return path
+    escaped = re.sub(r"""(["\\])""", r"\\\1", path)
+    return f'"{escaped}"'
+
+
+def _own_name() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        raise ConfigError("setup: this user has no name; say who flies with --user") from None
+
+
 def _usual_directory() -> Path:
     if os.geteuid() == 0:
         return SYSTEM
-    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "companion"
+    configs = os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config")
+    if configs.startswith("~"):
+        raise ConfigError("setup: there is no HOME to write to; choose a folder with --directory")
+    return Path(configs) / "companion"
 
 
 def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
@@ -362,7 +390,7 @@ def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
         radio=None if radio == NONE else radio,
         ranging=arguments.own_ranging,
         preset=None if preset == "default" else preset,
-        fence=None if fence == NONE else Path(fence),
+        fence=None if fence == NONE else Path(os.path.expanduser(fence)),
     )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import getpass
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -170,6 +172,58 @@ def test_what_goes_wrong_after_writing_leaves_the_files_and_the_advice(
     assert ("do not fly" in out) == bool(said)
     assert "SERIAL2_BAUD      921" in out
     assert "undo: companion setup --remove" in out
+
+
+def test_a_unit_starts_from_a_folder_of_any_name(tmp_path: Path) -> None:
+    folder = tmp_path / 'Flüge "1" 100% $5'
+    folder.mkdir()
+    options = ("--connect", SERIAL, "--unit-directory", str(folder), "--user", "pilot")
+    assert setup(folder, *options) == 0
+    lines = (folder / "companion.service").read_text(encoding="utf-8").splitlines()
+    (start,) = (line for line in lines if line.startswith("ExecStart="))
+    (environment,) = (line for line in lines if line.startswith("EnvironmentFile="))
+    assert environment == f'EnvironmentFile={tmp_path}/Flüge "1" 100%% $5/service.env'
+    assert f'--config "{tmp_path}/Flüge \\"1\\" 100%% $$5/companion.yaml" --quiet' in start
+
+
+def test_the_advice_can_be_pasted_into_a_shell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "two words"
+    assert setup(folder, "--connect", SERIAL) == 0
+    assert f"undo: companion setup --remove --directory '{folder}'" in capsys.readouterr().out
+
+
+def test_a_user_without_name_or_home_is_asked_for_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(getpass, "getuser", failing(KeyError("getpwuid(): uid not found: 5")))
+    options = ("--connect", SERIAL, "--unit-directory", str(tmp_path))
+    assert setup(tmp_path / "etc", *options) == EXIT_BAD_INPUT
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setattr(os, "geteuid", lambda: 5)
+    monkeypatch.setattr(os.path, "expanduser", str)
+    assert main(["setup", "--connect", SERIAL, *OFFLINE]) == EXIT_BAD_INPUT
+    assert capsys.readouterr().err.splitlines() == [
+        "companion: setup: this user has no name; say who flies with --user",
+        "companion: setup: there is no HOME to write to; choose a folder with --directory",
+    ]
+
+
+def test_a_setup_of_another_owner_is_removed_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    etc, units = tmp_path / "etc", tmp_path / "units"
+    units.mkdir()
+    setup(etc, "--connect", SERIAL, "--unit-directory", str(units), "--user", "pilot")
+    before = tree(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, _: path != units)
+    assert main(["setup", "--directory", str(etc), "--remove"]) == EXIT_BAD_INPUT
+    assert capsys.readouterr().err == (
+        f"companion: {units}/companion.service: cannot be removed; run it as the owner of the "
+        "folder, or with sudo\n"
+    )
+    assert tree(tmp_path) == before
 
 
 def test_a_preset_of_schema_1_is_written_with_the_present_keys(tmp_path: Path) -> None:
