@@ -36,14 +36,8 @@ from companion.guidance.emitters import EmitterQueue
 from companion.guidance.searching import Searching
 from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import kept_offsets, radio_key
-from companion.io.files import (
-    FLIGHT,
-    MCAP,
-    delete_old_flights,
-    new_flight_directory,
-    write_bytes_atomic,
-)
-from companion.io.flight_recorder import FlightJournal
+from companion.io.files import FLIGHT, MCAP, write_bytes_atomic
+from companion.io.flight_recorder import FlightJournal, delete_old_flights, new_flight_directory
 from companion.io.links.transports import FlightLink, parse_flight_link, radio_link
 from companion.io.mcap_file import McapLog
 from companion.io.state_directory import state_directory

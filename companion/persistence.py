@@ -143,9 +143,9 @@ class RestartKeeper:
         is_known = self._endpoint.is_finished and self._endpoint.binding.is_bound
         if is_known and not is_over and self._pending is None:
             self._save(self._clock.now_s())
-        self._store.close(timeout_s)
         if is_known and is_over:
             self._store.discard()
+        self._store.close(timeout_s)
 
     def _look_back(self, max_age_s: float) -> None:
         found = self._store.load()
@@ -335,7 +335,10 @@ class SearchKeeper(WriterThread[Snapshot]):
         snapshot = self._write()
         if snapshot is not None and snapshot[0].contact_unix_s is None:
             log.info("%s", statement(*snapshot))
-        return super().close(timeout_s)
+        is_written = super().close(timeout_s)
+        if not is_written:
+            log.warning("%s: the last of the searched area is not written", self._journal.directory)
+        return is_written
 
     def write_batch(self, batch: list[Snapshot]) -> None:
         """Write the newest search of the batch: its result and the files of its area."""

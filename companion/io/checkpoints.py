@@ -220,7 +220,9 @@ class CheckpointStore:
             self.writer.replace(path, encode_checkpoint(checkpoint))
 
     def discard(self) -> None:
-        """Delete both files, because the mission ended in order; call `close` first."""
+        """Delete both files, because the mission ended in order; nothing is saved after it."""
+        if self.writer is not None:
+            self.writer.is_wanted = False
         for path in self.paths:
             with suppress(OSError):
                 path.unlink(missing_ok=True)

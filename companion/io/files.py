@@ -1,4 +1,4 @@
-"""Files written atomically as a whole, and flight directories with the names of their files.
+"""Files written atomically as a whole, and the names of those of a flight.
 
 Output from a background thread, so that the caller never waits: of any kind, and to files.
 
@@ -22,14 +22,11 @@ import logging
 import math
 import os
 import queue
-import re
-import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
-from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -38,7 +35,6 @@ from companion.errors import CompanionError, ConfigError
 
 OnDamage = Callable[[int], None]
 """Called with each damaged position of a log: a byte, a record or a line of it."""
-_FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
 
 def plain(value: object) -> object:
@@ -134,44 +130,6 @@ def check_writable(path: Path) -> None:
         raise CompanionError(f"{path}: there is no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
         raise CompanionError(f"{path}: cannot be written; check its permissions")
-
-
-def new_flight_directory(root: Path, unix_s: float) -> Path:
-    """Return a new directory under `root`, named by the time.
-
-    `2026-11-21T02-50-00Z`, then `...-2`.
-    """
-    name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    suffix = 1
-    while True:
-        directory = root / (name if suffix == 1 else f"{name}-{suffix}")
-        try:
-            directory.mkdir(parents=True)
-        except FileExistsError as error:
-            if not directory.is_dir():
-                raise CompanionError(f"{root}: not a directory; choose another folder") from error
-            suffix += 1
-        except OSError as error:
-            raise CompanionError(
-                f"{directory}: cannot be made ({error.strerror}); choose another folder"
-            ) from error
-        else:
-            return directory
-
-
-def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
-    """Delete all but the newest `keep` flight directories below `root`; return the deleted ones.
-
-    Only names as `new_flight_directory` makes them count. `present` counts as the newest even if
-    its name does not: a clock may have been set back.
-    """
-    named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
-    others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
-    oldest = sorted(others)[: max(0, len(others) + 1 - keep)]
-    for *_, directory in oldest:
-        if directory.is_dir() and not directory.is_symlink():
-            shutil.rmtree(directory, ignore_errors=True)
-    return [directory for *_, directory in oldest if not os.path.lexists(directory)]
 
 
 TLOG, MCAP, EVENTS, INPUTS = "flight.tlog", "flight.mcap", "events.jsonl", "flight.inputs"
@@ -412,6 +370,10 @@ class BackgroundReplacer(WriterThread[Path]):
         self.written = 0
         self.overtaken = 0
         """Contents that never reached the disk, because newer ones came first."""
+        self.is_wanted = True
+        """False: a file that is still being written is deleted as soon as the disk lets it."""
+        self._path: Path | None = None
+        """File that is being written."""
         self._mode = mode
         self._waiting: dict[Path, bytes] = {}
         self._lock = threading.Lock()
@@ -427,11 +389,19 @@ class BackgroundReplacer(WriterThread[Path]):
         else:
             self.overtaken += 1
 
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """Write everything queued within `timeout_s`; a loss is reported."""
+        is_written = super().close(timeout_s)
+        if not is_written and self.is_wanted and self._path is not None:
+            logger.warning("%s: the disk hangs, its last content may be lost", self._path)
+        return is_written
+
     def write_batch(self, batch: list[Path]) -> None:
         """Write the newest content of each file in the batch."""
         for path in batch:
             with self._lock:
                 content = self._waiting.pop(path)
+            self._path = path
             try:
                 write_bytes_atomic(path, content, self._mode)
             except CompanionError as error:
@@ -440,3 +410,6 @@ class BackgroundReplacer(WriterThread[Path]):
                     logger.warning("%s", error)
             else:
                 self.written += 1
+            if not self.is_wanted:
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)

@@ -1,15 +1,19 @@
-"""The flight's black box: frames, events, inputs, `result.json` and the texts to the operator."""
+"""The flight's black box: frames, events, inputs, `result.json`, operator texts, and its folder."""
 
 from __future__ import annotations
 
 import json
 import logging
+import os
+import re
 import shutil
 import threading
 import time
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
+from companion.errors import CompanionError
 from companion.guidance.commands import ReportResult, Severity
 from companion.guidance.messages import radius_fields
 from companion.handoff import HandoffFiles
@@ -29,6 +33,7 @@ from companion.io.mcap_file import McapLog
 from companion.link.interface import InputRecorder
 
 log = logging.getLogger("companion.flight")
+_FLIGHT_NAME = re.compile(r"(?P<time>\d{4}-\d\d-\d\dT\d\d-\d\d-\d\dZ)(-(?P<number>\d+))?")
 
 LEVELS = {
     Severity.ERROR: logging.ERROR,
@@ -215,6 +220,44 @@ class FlightJournal(BlackBox):
             log.warning(
                 "%s: %d log entries were lost to a slow or full disk", self.directory, dropped
             )
+
+
+def new_flight_directory(root: Path, unix_s: float) -> Path:
+    """Return a new directory under `root`, named by the time.
+
+    `2026-11-21T02-50-00Z`, then `...-2`.
+    """
+    name = datetime.fromtimestamp(unix_s, UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    suffix = 1
+    while True:
+        directory = root / (name if suffix == 1 else f"{name}-{suffix}")
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError as error:
+            if not directory.is_dir():
+                raise CompanionError(f"{root}: not a directory; choose another folder") from error
+            suffix += 1
+        except OSError as error:
+            raise CompanionError(
+                f"{directory}: cannot be made ({error.strerror}); choose another folder"
+            ) from error
+        else:
+            return directory
+
+
+def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
+    """Delete all but the newest `keep` flight directories below `root`; return the deleted ones.
+
+    Only names as `new_flight_directory` makes them count. `present` counts as the newest even if
+    its name does not: a clock may have been set back.
+    """
+    named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
+    others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
+    oldest = sorted(others)[: max(0, len(others) + 1 - keep)]
+    for *_, directory in oldest:
+        if directory.is_dir() and not directory.is_symlink():
+            shutil.rmtree(directory, ignore_errors=True)
+    return [directory for *_, directory in oldest if not os.path.lexists(directory)]
 
 
 def _show(severity: Severity, text: str, now_s: float) -> None:

@@ -53,6 +53,28 @@ def test_a_hanging_disk_holds_up_nobody_and_costs_only_history(
     assert replacer.overtaken == 999
 
 
+def test_what_a_hanging_disk_may_lose_at_the_end_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    released, began = threading.Event(), threading.Event()
+
+    def hang(_path: Path, _content: bytes, _mode: int) -> None:
+        began.set()
+        released.wait(60.0)
+
+    monkeypatch.setattr(files, "write_bytes_atomic", hang)
+    replacer = BackgroundReplacer("test")
+    replacer.replace(tmp_path / "parameters.json", b"{}")
+    assert began.wait(PATIENCE_S)
+    with caplog.at_level(logging.WARNING, "companion.io"):
+        assert not replacer.close(timeout_s=0.01)
+    released.set()
+    assert replacer.close(PATIENCE_S)
+    assert [record.message for record in caplog.records] == [
+        f"{tmp_path}/parameters.json: the disk hangs, its last content may be lost"
+    ]
+
+
 def test_a_full_disk_is_counted_told_once_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

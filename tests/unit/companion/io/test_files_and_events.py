@@ -11,13 +11,8 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.files import (
-    delete_old_flights,
-    json_line,
-    new_flight_directory,
-    plain,
-    write_json_atomic,
-)
+from companion.io.files import json_line, plain, write_json_atomic
+from companion.io.flight_recorder import delete_old_flights, new_flight_directory
 from companion.io.log_files import EventLog
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import threading
 from pathlib import Path
 
 import pytest
@@ -89,6 +90,30 @@ def test_a_mission_that_ended_in_order_leaves_nothing(tmp_path: Path) -> None:
     store.discard()
     assert not store.load().has_files
     assert os.listdir(tmp_path / "state") == []
+
+
+def test_a_checkpoint_that_a_slow_disk_takes_after_the_end_is_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    released, began = threading.Event(), threading.Event()
+
+    def slow(path: Path, content: bytes, mode: int) -> None:
+        began.set()
+        released.wait(60.0)
+        write_bytes_atomic(path, content, mode)
+
+    monkeypatch.setattr("companion.io.files.write_bytes_atomic", slow)
+    store = CheckpointStore(tmp_path / "state", "udp")
+    store.save(a_checkpoint())
+    assert began.wait(30.0)
+    store.discard()
+    store.close(0.01)
+    released.set()
+    store.close(30.0)
+    assert store.writer is not None
+    assert store.writer.written == 1
+    assert os.listdir(tmp_path / "state") == []
+    assert caplog.records == []
 
 
 def test_a_state_directory_that_cannot_be_costs_the_checkpoint_only(tmp_path: Path) -> None:
