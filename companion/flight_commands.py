@@ -60,14 +60,15 @@ def fly_vehicle(arguments: argparse.Namespace) -> int:
         views=views,
         at_end=partial(_report_flight, arguments.fly_web_tiles),
     )
-    endpoint = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
+    end = fly(config, links, clock_of(arguments.fly_speed or 1.0), options)
+    endpoint = end.endpoint
     if arguments.once and endpoint.session.is_search_over and endpoint.session.result is None:
         print("companion: the search is over, nothing heard", file=sys.stderr)
         return EXIT_NOT_FOUND
     if arguments.once and endpoint.session.result is None:
         print("companion: ended before the target was localised", file=sys.stderr)
         return EXIT_FAILED
-    return 0
+    return 0 if end.is_log_whole else EXIT_FAILED
 
 
 def _flight_config(arguments: argparse.Namespace) -> CompanionConfig:

@@ -230,10 +230,19 @@ class FlightOptions:
     """Called with the flight's directory once everything is written."""
 
 
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
+    """The end of a flight."""
+
+    endpoint: CompanionEndpoint
+    is_log_whole: bool
+    """False: a full or slow disk has cost a part of the log, which was reported."""
+
+
 def fly(
     config: CompanionConfig, links: Sequence[FlightLink], clock: Clock, options: FlightOptions
-) -> CompanionEndpoint:
-    """Fly until asked to stop; return the endpoint as it was at the end.
+) -> FlightEnd:
+    """Fly until asked to stop; return the flight's end.
 
     Raises:
         LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
@@ -262,7 +271,7 @@ def fly(
         lock.release()
         for view in options.views:
             view.close()
-    return flight.endpoint
+    return FlightEnd(flight.endpoint, flight.is_log_whole)
 
 
 class _Flight:
@@ -356,6 +365,11 @@ class _Flight:
     def directory(self) -> Path | None:
         """Folder of the flight's files; None without a log."""
         return self._journal.directory if isinstance(self._journal, FlightJournal) else None
+
+    @property
+    def is_log_whole(self) -> bool:
+        """True if nothing of the log was lost."""
+        return self._journal.is_whole
 
     def run(self) -> None:
         """Run to the end, however it ends, and leave everything closed."""

@@ -225,7 +225,7 @@ def run_demo(
             links = [FlightLink(UdpBind(HOST, port), LinkSpec(LinkRole.VEHICLE))]
             views = [watch, *make_views(config, _emitter_enu_m(truth))]
             flight_options = FlightOptions(views=views, at_end=at_end)
-            endpoint = fly(config, links, clock, flight_options)
+            endpoint = fly(config, links, clock, flight_options).endpoint
             simulator.stop(STOP_TIMEOUT_S)  # it writes its report first
             result = DemoResult(options, watch, endpoint, simulator.report())
             _say(result.summary)

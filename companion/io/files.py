@@ -168,6 +168,8 @@ class WriterThread(Generic[T]):
         self.bytes_kept = 0
         self.overflowed = 0
         self.failed = 0
+        self.lost_since_s: float | None = None
+        """Monotonic time of the first loss."""
         self._gather_s = gather_s
         self._max_queued = max_queued
         self._queue: queue.SimpleQueue[T | None] = queue.SimpleQueue()
@@ -210,6 +212,7 @@ class WriterThread(Generic[T]):
             self._queue.put(item)
             return True
         self.overflowed += 1
+        self.lost_since_s = self.lost_since_s or time.monotonic()
         if self.overflowed == 1 and not self._is_closed:
             self.note_overflow()
         return False
@@ -326,6 +329,7 @@ class BackgroundFile(WriterThread[bytes]):
                 self._begin_new_part()
             if not (self._has_room(len(record)) and self._write_whole(record)):
                 self.failed += 1
+                self.lost_since_s = self.lost_since_s or time.monotonic()
 
     def _has_room(self, size: int) -> bool:
         return self._part_bytes is None or self._bytes + size <= self._part_bytes

@@ -81,6 +81,11 @@ class BlackBox:
         """Return the state of the writers without waiting for them."""
         return WriterHealth(0, self._dropped, 0, 0.0, is_alive=True)
 
+    @property
+    def is_whole(self) -> bool:
+        """True if nothing of the flight was lost so far."""
+        return self.health.dropped == 0
+
     def discard(self) -> None:
         """Close and remove the log, because the flight never began."""
 
@@ -104,6 +109,7 @@ class FlightJournal(BlackBox):
     ) -> None:
         self.directory = directory
         self.started_unix_s = started_unix_s
+        self._began_s = time.monotonic()
         events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
         inputs_bytes = None if max_bytes is None else int(INPUTS_SHARE * max_bytes)
         kept = (events_bytes or 0) + (inputs_bytes or 0)
@@ -215,11 +221,18 @@ class FlightJournal(BlackBox):
             writer.close(max(0.0, deadline_s - time.monotonic()))
         if self._mcap is not None:
             self._mcap.close(max(0.0, deadline_s - time.monotonic()))
-        dropped = self.health.dropped
-        if dropped:
-            log.warning(
-                "%s: %d log entries were lost to a slow or full disk", self.directory, dropped
-            )
+        if not self.is_whole:
+            log.warning("%s: lost to a slow or full disk: %s", self.directory, self._losses())
+
+    def _losses(self) -> str:
+        """Return the names of the logs with gaps, and from when on entries are missing."""
+        since = [(each, each.lost_since_s) for each in self._logs]
+        words = [
+            f"{each.dropped} entries of {each.path.name} after {at_s - self._began_s:.0f} s"
+            for each, at_s in since
+            if at_s is not None
+        ]
+        return ", ".join([*words, RESULT] if self._results.dropped else words)
 
 
 def new_flight_directory(root: Path, unix_s: float) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import signal
 import socket
@@ -214,7 +215,9 @@ def test_a_disk_that_takes_no_more_costs_the_log_and_not_the_flight(
     companion.wait_for("log entries lost")
     companion.wait_for("ready: switch to")
     assert companion.end(signal.SIGTERM) < STOP_S
-    assert companion.process.returncode == 0
+    assert companion.process.returncode == 1
+    (line,) = (line for line in companion.lines if "lost to a slow or full disk" in line)
+    assert re.search(r"[0-9]+ entries of flight\.tlog after [0-9]+ s", line)
     assert all(path.stat().st_size <= 20_000 for path in folder.glob("flights/*/*"))
 
 
