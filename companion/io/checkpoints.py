@@ -31,7 +31,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.domain import Autopilot
-from companion.errors import ConfigError
+from companion.errors import CompanionError, ConfigError
 from companion.guidance.events import SessionMemory, VehicleMark
 from companion.io.files import BackgroundReplacer, write_json_atomic
 
@@ -284,9 +284,15 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
 
 
 def keep_offset(directory: Path, key: str, offset: KeptOffset) -> Path:
-    """Add an offset, or replace that of the same radio; return the file."""
+    """Add an offset, or replace that of the same radio; return the file.
+
+    Raises a `CompanionError` if it cannot be kept.
+    """
     offsets: Mapping[str, KeptOffset] = {**kept_offsets(directory), key: offset}
-    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CompanionError(f"{directory}: cannot be made ({error.strerror})") from None
     path = directory / FILE
     write_json_atomic(path, {name: msgspec.structs.asdict(each) for name, each in offsets.items()})
     return path

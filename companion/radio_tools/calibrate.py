@@ -24,7 +24,7 @@ from companion.arguments import TEST_NAMES
 from companion.config.radios import RadioConfig, radio_setups
 from companion.config.schema import load_config, with_radios
 from companion.domain import PositionEnu, RangingMeasurement
-from companion.errors import ConfigError
+from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import radio_links
 from companion.geometry.coordinates import LocalOrigin
 from companion.io.checkpoints import KeptOffset, keep_offset, radio_key
@@ -306,6 +306,7 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
     if len(config.radios) != 1:
         raise ConfigError("--beside: name one radio, --radio NAME@URL")
+    directory = state_directory(config.process.state_directory, os.environ)
     (link,), (radio,) = radio_links(config.radios), config.radios
     if not arguments.is_insecure:
         check_exposure([link], has_key=False)
@@ -327,10 +328,13 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
         unix_s=round(time.time(), 0),
     )
     key = radio_key(radio.name, radio.url or "")
-    directory = state_directory(config.process.state_directory, os.environ)
-    path = keep_offset(directory, key, offset)
-    return 0, (
+    code = 0
+    try:
+        kept = f"kept in {keep_offset(directory, key, offset)}"
+    except CompanionError as error:
+        code, kept = EXIT_REFUSED, f"not kept, so configure it: {error}"
+    return code, (
         f"{key}: range offset {offset.range_offset_m:+.2f} m "
-        f"(median of {offset.ranges}, scatter {offset.scatter_m:.2f} m); kept in {path}\n"
+        f"(median of {offset.ranges}, scatter {offset.scatter_m:.2f} m); {kept}\n"
         f"settings:\n  range_offset_m: {offset.range_offset_m}"
     )

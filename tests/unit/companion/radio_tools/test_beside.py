@@ -105,6 +105,18 @@ def test_a_usb_radio_is_known_by_its_serial_number(tmp_path: Path) -> None:
         assert radio_key("pans", url, tmp_path / "by-id") == "pans usb-Maker_0042"
 
 
+def test_an_offset_that_cannot_be_kept_is_shown_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc")  # it takes no folders
+    log = tmp_path / "enb.log"
+    log.write_text(LINE * 6)
+    assert calibrate(f"srsran_4g:name=none@exec:cat {log}") == 1
+    said = capsys.readouterr().err
+    assert "not kept, so configure it: /proc/companion: cannot be made" in said
+    assert "range_offset_m: 1052.958" in said
+
+
 def test_what_is_kept_and_cannot_be_read_is_named(tmp_path: Path) -> None:
     file = tmp_path / "state" / "companion" / "radio-offsets.json"
     file.parent.mkdir(parents=True)
