@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import os
@@ -110,6 +111,7 @@ class FlightJournal(BlackBox):
         self.directory = directory
         self.started_unix_s = started_unix_s
         self._began_s = time.monotonic()
+        self._holding = _held(directory)
         events_bytes = None if max_bytes is None else int(EVENTS_SHARE * max_bytes)
         inputs_bytes = None if max_bytes is None else int(INPUTS_SHARE * max_bytes)
         kept = (events_bytes or 0) + (inputs_bytes or 0)
@@ -221,6 +223,9 @@ class FlightJournal(BlackBox):
             writer.close(max(0.0, deadline_s - time.monotonic()))
         if self._mcap is not None:
             self._mcap.close(max(0.0, deadline_s - time.monotonic()))
+        if self._holding is not None:
+            os.close(self._holding)
+            self._holding = None
         if not self.is_whole:
             log.warning("%s: lost to a slow or full disk: %s", self.directory, self._losses())
 
@@ -261,16 +266,35 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
 def delete_old_flights(root: Path, keep: int, present: Path) -> list[Path]:
     """Delete all but the newest `keep` flight directories below `root`; return the deleted ones.
 
-    Only names as `new_flight_directory` makes them count. `present` counts as the newest even if
-    its name does not: a clock may have been set back.
+    Only names as `new_flight_directory` makes them count, and what another companion flies now
+    stays. `present` counts as the newest even if its name does not: a clock may have been set back.
     """
     named = [(m, p) for p in root.iterdir() if (m := _FLIGHT_NAME.fullmatch(p.name))]
     others = [(m["time"], int(m["number"] or 1), p) for m, p in named if p != present]
     oldest = sorted(others)[: max(0, len(others) + 1 - keep)]
     for *_, directory in oldest:
         if directory.is_dir() and not directory.is_symlink():
-            shutil.rmtree(directory, ignore_errors=True)
+            holding = _held(directory, fcntl.LOCK_EX)
+            if holding is not None:
+                shutil.rmtree(directory, ignore_errors=True)
+                os.close(holding)
     return [directory for *_, directory in oldest if not os.path.lexists(directory)]
+
+
+def _held(directory: Path, kind: int = fcntl.LOCK_SH) -> int | None:
+    """Return a descriptor that locks a flight's folder; None if another companion flies it now."""
+    try:
+        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        return None
+    except OSError:  # a file system without locks
+        pass
+    return descriptor
 
 
 def _show(severity: Severity, text: str, now_s: float) -> None:

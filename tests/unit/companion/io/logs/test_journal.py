@@ -12,7 +12,11 @@ import pytest
 
 from companion.domain import EstimateState, TargetEstimate
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.flight_recorder import FlightJournal
+from companion.io.flight_recorder import (
+    FlightJournal,
+    delete_old_flights,
+    new_flight_directory,
+)
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 
@@ -63,6 +67,15 @@ def test_the_result_keeps_every_report_and_the_searched_area(tmp_path: Path) -> 
     assert (result["emitter_id"], result["state"]) == (3, FOUND.state.value)
     assert [each["emitter_id"] for each in result["reports"]] == [7, 3]
     assert result["searched"] == {"state": "heard", "pos": 0.8}
+
+
+def test_a_flight_of_another_companion_is_not_deleted_while_it_lasts(tmp_path: Path) -> None:
+    first, second = (new_flight_directory(tmp_path, 1_795_229_400.0 + n) for n in range(2))
+    journal = FlightJournal(first, 0.0)
+    assert delete_old_flights(tmp_path, 1, second) == []
+    journal.close(PATIENCE_S)
+    journal.close(PATIENCE_S)
+    assert delete_old_flights(tmp_path, 1, second) == [first]
 
 
 def test_a_flight_stays_within_its_cap(tmp_path: Path) -> None:
