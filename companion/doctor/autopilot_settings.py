@@ -6,9 +6,10 @@ companion's guard would end a search in the autopilot's failsafe. Home is assume
 the local frame.
 
 Sources: the parameter references of PX4 1.15 (Commander, Geofence, Multicopter Position Control;
-GF_MAX_*: 0 is no limit) and ArduCopter 4.5 (FS_*, GUID_*, FENCE_*; FENCE_TYPE is a mask: 1 ceiling,
-2 circle), and the behaviour of both in SITL: PX4 with COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to
-0.9 m/s and drifts when setpoints stop; a position target of ArduPilot never times out.
+GF_MAX_*: 0 is no limit), ArduCopter 4.5 (FS_*, GUID_*, FENCE_*; FENCE_TYPE is a mask: 1 ceiling,
+2 circle) and 4.7 (MAV_GCS_SYSID, WP_SPD), and the behaviour of both in SITL: PX4 with
+COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to 0.9 m/s and drifts when setpoints stop; a position
+target of ArduPilot never times out.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ RC_OVERRIDE_OFFBOARD = 2
 PX4_WARNS_ONLY = 1
 """GF_ACTION up to this keeps the mode."""
 CEILING, CIRCLE = 1, 2
+RENAMED = {"SYSID_MYGCS": "MAV_GCS_SYSID", "WPNAV_SPEED": "WP_SPD"}
+"""Parameters of ArduCopter up to 4.6, and their names from 4.7 on: one of both is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,13 +197,13 @@ def _ardupilot_target_timeout(settings: Settings) -> Iterator[CheckResult]:
         yield ok(name, f"{timeout_s:g} s, {text}")
 
 
-def _ardupilot_station(settings: Settings) -> Iterator[CheckResult]:
-    if settings["SYSID_MYGCS"] == settings.facts.system_id:
+def _ardupilot_station(name: str, settings: Settings) -> Iterator[CheckResult]:
+    if settings[name] == settings.facts.system_id:
         text = f"{settings.facts.system_id}: this companion would count as the ground station"
-        yield fail("SYSID_MYGCS", text, "set SYSID_MYGCS to your station's id, 255")
+        yield fail(name, text, f"set {name} to your station's id, 255")
     if settings["FS_GCS_ENABLE"] == 0:
         text = "0: a lost ground station does nothing"
-        yield warn("FS_GCS_ENABLE", text, "set FS_GCS_ENABLE to 1 (RTL) and SYSID_MYGCS to yours")
+        yield warn("FS_GCS_ENABLE", text, f"set FS_GCS_ENABLE to 1 (RTL) and {name} to yours")
     else:
         text = f"{settings['FS_GCS_ENABLE']:g}, after {settings['FS_GCS_TIMEOUT']:g} s"
         yield ok("FS_GCS_ENABLE", text)
@@ -234,7 +237,10 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
     ),
     Autopilot.ARDUPILOT: (
         (("GUID_TIMEOUT",), _ardupilot_target_timeout),
-        (("SYSID_MYGCS", "FS_GCS_ENABLE", "FS_GCS_TIMEOUT"), _ardupilot_station),
+        *(
+            ((name, "FS_GCS_ENABLE", "FS_GCS_TIMEOUT"), partial(_ardupilot_station, name))
+            for name in ("SYSID_MYGCS", "MAV_GCS_SYSID")
+        ),
         (("FS_THR_ENABLE",), _ardupilot_throttle),
         (("FENCE_ENABLE", "FENCE_ACTION"), _ardupilot_fence),
         (
@@ -242,6 +248,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
             _ardupilot_limits,
         ),
         (("WPNAV_SPEED",), partial(_check_speed, "WPNAV_SPEED", 100.0)),
+        (("WP_SPD",), partial(_check_speed, "WP_SPD", 1.0)),
     ),
 }
 
@@ -254,12 +261,12 @@ def needed_parameters(autopilot: Autopilot) -> tuple[str, ...]:
 
 def check_parameters(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[CheckResult]:
     """Check the parameters; one that the autopilot does not report is a finding, too."""
+    known = {name: value for name, value in facts.parameters.items() if value is not None}
     for name in needed_parameters(facts.autopilot):
-        if facts.parameters.get(name) is None:
+        if name not in known and name not in RENAMED.values() and RENAMED.get(name) not in known:
             yield warn(
                 name, "the autopilot does not report it", f"look {name} up with a ground station"
             )
-    known = {name: value for name, value in facts.parameters.items() if value is not None}
     for names, rule in RULES.get(facts.autopilot, ()):
         if all(name in known for name in names):
             yield from rule(Settings(known, facts, config))

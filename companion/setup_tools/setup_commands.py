@@ -184,10 +184,10 @@ def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -
     return [
         *(port if baud is not None else []),
         ("FS_GCS_ENABLE", "1", "a lost ground station brings the vehicle home"),
-        ("SYSID_MYGCS", "255", "the id of your ground station, never the vehicle's own"),
+        ("SYSID_MYGCS", "255", "the id of your ground station; from 4.7 on MAV_GCS_SYSID"),
         ("FENCE_ENABLE", "1", "ArduPilot's own fence, should all else fail"),
         ("FENCE_ACTION", "4", "it brakes; 1 returns"),
-        ("WPNAV_SPEED", f"{100.0 * speed_mps:g}", "cm/s, or more: limits.speed_mps"),
+        ("WPNAV_SPEED", f"{100.0 * speed_mps:g}", "cm/s, or more; from 4.7 on WP_SPD, in m/s"),
     ]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.doctor.autopilot_settings import check_parameters, needed_parameters
+from companion.doctor.autopilot_settings import RENAMED, check_parameters, needed_parameters
 from companion.doctor.findings import AutopilotFacts, CheckResult, Level
 from companion.domain import Autopilot
 from tests.unit.companion.doctor.examples import ARDUPILOT_PARAMETERS, PX4, PX4_PARAMETERS
@@ -29,7 +29,7 @@ def test_good_parameters_need_no_mending(facts: AutopilotFacts) -> None:
     findings = list(check_parameters(facts, CompanionConfig()))
     assert findings
     assert {finding.level for finding in findings} == {Level.OK}
-    assert set(needed_parameters(facts.autopilot)) == set(facts.parameters)
+    assert set(needed_parameters(facts.autopilot)) - set(RENAMED.values()) == set(facts.parameters)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +84,34 @@ def test_ardupilot(name: str, value: float | None, level: Level, text: str) -> N
     assert finding.level is level
     assert text in finding.text
     assert bool(finding.fix) is (level is not Level.OK)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "level", "text"),
+    [
+        ("MAV_GCS_SYSID", 1, Level.FAIL, "would count as the ground station"),
+        ("FS_GCS_ENABLE", 0, Level.WARN, "a lost ground station does nothing"),
+        ("WP_SPD", 3.0, Level.WARN, "3 m/s: slower"),
+        ("WP_SPD", 10.0, Level.OK, "10 m/s"),
+    ],
+)
+def test_ardupilot_from_4_7_on_has_other_names(
+    name: str, value: float, level: Level, text: str
+) -> None:
+    renamed = {RENAMED.get(old, old): value for old, value in ARDUPILOT_PARAMETERS.items()}
+    renamed |= dict.fromkeys(RENAMED) | {"WP_SPD": 10.0}
+    facts = replace(ARDUPILOT, parameters=renamed)
+    assert {f.level for f in check_parameters(facts, CompanionConfig())} == {Level.OK}
+    (finding,) = findings_about(name, with_value(facts, name, value))
+    assert finding.level is level
+    assert text in finding.text
+    assert not set(finding.fix.split()) & set(RENAMED)
+
+
+@pytest.mark.parametrize("name", RENAMED)
+def test_a_parameter_reported_under_neither_name_is_missed_once(name: str) -> None:
+    facts = with_value(ARDUPILOT, name, None)
+    assert len(list(f for f in check_parameters(facts, CompanionConfig()) if f.fix)) == 1
 
 
 @pytest.mark.parametrize("off", [("FENCE_ENABLE", 0), ("FENCE_ACTION", 0), ("FENCE_TYPE", 4)])
