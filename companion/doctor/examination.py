@@ -341,10 +341,12 @@ def _check_rate(rate: StreamRate) -> CheckResult:
 
 def _is_expected(name: str, facts: AutopilotFacts) -> bool:
     """Return True if an autopilot sends a stream at all in its current state."""
+    is_px4 = facts.autopilot is Autopilot.PX4
     expected = {
-        "ESTIMATOR_STATUS": facts.autopilot is Autopilot.PX4,
+        "ESTIMATOR_STATUS": is_px4,
         "EKF_STATUS_REPORT": facts.autopilot is Autopilot.ARDUPILOT,
-        "POSITION_TARGET_LOCAL_NED": facts.is_armed,
+        # ArduPilot reports a target in GUIDED alone
+        "POSITION_TARGET_LOCAL_NED": facts.is_armed and (is_px4 or facts.mode == "GUIDED"),
         "RC_CHANNELS": facts.has_rc is not False,
         "GPS2_RAW": False,  # only where a second receiver is fitted
     }

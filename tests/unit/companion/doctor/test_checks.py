@@ -196,6 +196,10 @@ def test_an_autopilot_that_is_not_there_keeps_from_flying(
         ("EKF_STATUS_REPORT", {}),
         ("ESTIMATOR_STATUS", {"autopilot": Autopilot.ARDUPILOT}),
         ("POSITION_TARGET_LOCAL_NED", {}),
+        (
+            "POSITION_TARGET_LOCAL_NED",
+            {"autopilot": Autopilot.ARDUPILOT, "is_armed": True, "mode": "BRAKE"},
+        ),
         ("RC_CHANNELS", {"has_rc": False}),
     ],
 )
