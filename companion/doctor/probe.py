@@ -46,7 +46,7 @@ from companion.link.interface import RadioSetup
 from companion.link.outlet import COMPONENT_ID
 from companion.link.quality import RadioStatus, RadioWatch, SequenceMonitor
 from companion.link.radio_stage import RadioStage
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
@@ -94,7 +94,8 @@ class DoctorProbe(OneShotEndpoint):
         self._authenticity = authenticity
         self._binding = AutopilotBinding(system_id, is_keyed=authenticity.is_on)
         signing = authenticity.of_link(0)
-        self._codec = MavCodec(system_id or 1, component_id or COMPONENT_ID, signing)
+        own = (system_id or 1, component_id or COMPONENT_ID)
+        self._codec = MavCodec(*own, signing, keeps_unknown=True)
         self._freshness = StreamFreshness()
         self._streams = StreamRequester(self._freshness)
         self._clock = ClockSync()
@@ -121,6 +122,9 @@ class DoctorProbe(OneShotEndpoint):
         for message in self._codec.decode(chunk.data, is_datagram=chunk.is_datagram):
             if self._authenticity.is_proved(bytes(message.get_msgbuf())):
                 self._receive_message(message, chunk, now_s)
+        unknown, ids = self._codec.splitter.take_unknown(), self._binding.bound
+        if ids is not None and chunk.peer == self._binding.peer:
+            self._sequence.excuse(sum(sender_of(frame) == ids.ids for frame in unknown))
 
     def handle_timer(self, now_s: float) -> None:
         """Send requests that are due."""

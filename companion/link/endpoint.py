@@ -131,8 +131,10 @@ class CompanionEndpoint:
         is_open = link.role is LinkRole.RANGING and params.link.unsigned_ranging
         signing = self.authenticity.of_link(number, RANGING_IDS if is_open else frozenset())
         component_id = params.link.component_id or COMPONENT_ID
-        codec = MavCodec(params.vehicle.system_id or 1, component_id, signing)
-        binding = self.binding if link.role is LinkRole.VEHICLE else None
+        is_vehicle = link.role is LinkRole.VEHICLE
+        own = (params.vehicle.system_id or 1, component_id)
+        codec = MavCodec(*own, signing, keeps_unknown=is_vehicle)
+        binding = self.binding if is_vehicle else None
         return Intake(codec, binding, is_raw=link.radio is not None)
 
     def _mavlink_ranging(self, number: int) -> MavlinkRanging:
@@ -147,6 +149,8 @@ class CompanionEndpoint:
             self.authenticity.advance(now_s)
         intake = self._intakes[chunk.link]
         data = intake.take(chunk)
+        if chunk.link == self._vehicle_link and (unknown := intake.codec.splitter.take_unknown()):
+            self._note_unknown(unknown, chunk, now_s)
         for frame in () if intake.is_raw else data:
             if self._recorder is not None:
                 self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
@@ -171,6 +175,13 @@ class CompanionEndpoint:
             self.session.searching.is_radio_heard = True
             source = self._sources[chunk.link]
             self._report_ranging(source.receive(bytes_of_radio, now_s), now_s)
+
+    def _note_unknown(self, frames: list[bytes], chunk: Chunk, now_s: float) -> None:
+        """Note frames of messages that the dialect lacks, for the loss of the link."""
+        if self._recorder is not None:
+            for frame in frames:
+                self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
+        self.executor.note_unknown(frames, chunk.peer)
 
     def handle_timer(self, now_s: float) -> None:
         """Run the control tick, without making up for a late one; before it is due, deferred work.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from companion.domain import Autopilot
@@ -25,6 +26,7 @@ from companion.link.interface import Journal, VehicleParams
 from companion.link.outbound import Ids, RequestClient
 from companion.link.outlet import Outlet
 from companion.link.quality import LinkHealth
+from companion.mav.codec import sender_of
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address
 from companion.mav.payloads import is_for
@@ -106,6 +108,12 @@ class SessionExecutor:
             if self._queries.stopper is not None:
                 self._queries.stopper.hear(number, now_s)
             self._health.sequence.take(sequence, now_s)
+
+    def note_unknown(self, frames: Sequence[bytes], peer: Address | None) -> None:
+        """Note frames of messages that the dialect lacks, whose checksum cannot be verified."""
+        bound = self.binding.bound
+        if bound is not None and peer == self.binding.peer:
+            self._health.sequence.excuse(sum(sender_of(frame) == bound.ids for frame in frames))
 
     def receive(self, message: Message, now_s: float) -> None:
         """Process a message of the autopilot."""

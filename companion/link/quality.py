@@ -100,6 +100,16 @@ class SequenceMonitor:
         newest[2] += 1
         return number
 
+    def excuse(self, count: int) -> None:
+        """Count frames that came between others, but could not be verified, as not lost.
+
+        They are of messages that the dialect lacks, as of an autopilot newer than it.
+        """
+        if self._buckets:
+            self.received += count
+            self.lost -= count
+            self._buckets[-1][2] += count
+
     def loss(self, now_s: float) -> float | None:
         """Return the share of recent frames that did not come, 0 to 1; None if too few were due."""
         since_s = now_s - WINDOW_S

@@ -317,13 +317,18 @@ class MavCodec:
     """Codec with one identity (ids 1 to 255) for one link, with `signing` if any."""
 
     def __init__(
-        self, system_id: int, component_id: int, signing: FrameSigning | None = None
+        self,
+        system_id: int,
+        component_id: int,
+        signing: FrameSigning | None = None,
+        *,
+        keeps_unknown: bool = False,
     ) -> None:
         self.system_id = system_id
         self.component_id = component_id
         self.signing = signing
         """May be replaced when a key is set up or removed."""
-        self.splitter = FrameSplitter(CRC_EXTRA_BY_ID)
+        self.splitter = FrameSplitter(CRC_EXTRA_BY_ID, keeps_unknown=keeps_unknown)
         self.counters = self.splitter.counters
         self.undecodable = 0
         """Frames with a good CRC whose payload pymavlink rejected."""

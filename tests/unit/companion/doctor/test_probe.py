@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from companion.config.schema import CompanionConfig
@@ -11,12 +13,13 @@ from companion.doctor.findings import Facts, Level, LinkFacts
 from companion.doctor.probe import PATIENCE_S, DoctorProbe
 from companion.domain import Autopilot
 from companion.link.intake import Authenticity
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MavCodec, message_id
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Chunk
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from tests.unit.companion.doctor.examples import HOST
+from tests.unit.companion.mav.framing_helpers import unknown
 
 PEER = ("127.0.0.1", 14580)
 HARMLESS = {
@@ -45,6 +48,8 @@ class Practice:
         self.sent: list[Message] = []
         self.now_s = 0.0
         self._reader = MavCodec(9, 9)
+        self.alter: Callable[[bytes], bytes] = bytes
+        """Changes what the vehicle sends."""
 
     def run(self) -> LinkFacts:
         while not self.probe.is_finished:
@@ -65,7 +70,7 @@ class Practice:
         if self.sim is not None:
             for chunk in self.sim.take_output():
                 if chunk.peer in (None, PEER) and PEER not in chunk.except_peers:
-                    self.probe.receive(Chunk(0, chunk.data, PEER), self.now_s)
+                    self.probe.receive(Chunk(0, self.alter(chunk.data), PEER), self.now_s)
 
 
 @pytest.fixture(scope="module", params=["px4", "ardupilot"])
@@ -92,6 +97,16 @@ def test_the_autopilot_is_recognised_and_heard_at_the_rates_asked_for(practice: 
     assert autopilot.missing == ()
     assert autopilot.origin is not None
     assert autopilot.origin.latitude_deg == pytest.approx(47.397742, abs=1e-6)
+
+
+def test_messages_that_the_dialect_lacks_are_no_loss() -> None:
+    practice = Practice()
+    attitude = mavlink.MAVLINK_MSG_ID_ATTITUDE
+    practice.alter = lambda data: unknown(data) if message_id(data) == attitude else data
+    facts = practice.run().autopilot
+    assert facts is not None
+    assert {rate.count for rate in facts.rates if rate.name == "ATTITUDE"} == {0}
+    assert facts.loss == 0.0
 
 
 def test_every_parameter_is_reported_and_whole_numbers_are_whole(practice: Practice) -> None:

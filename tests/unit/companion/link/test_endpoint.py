@@ -29,6 +29,7 @@ from tests.unit.companion.link.wire import (
     local_position,
     origin,
 )
+from tests.unit.companion.mav.framing_helpers import unknown
 
 LocalTarget = mavlink.MAVLink_set_position_target_local_ned_message
 GlobalTarget = mavlink.MAVLink_set_position_target_global_int_message
@@ -116,6 +117,21 @@ def test_setpoints_come_more_often_where_frames_get_lost_and_slow_down_after_cal
     assert fly_over_a_lossy_line(wire, 0.3, 5.0) == pytest.approx(250, abs=5)
     fly_over_a_lossy_line(wire, 0.0, 9.0)
     assert fly_over_a_lossy_line(wire, 0.0, 5.0) == pytest.approx(100, abs=3)
+
+
+@pytest.mark.parametrize(("peer", "setpoints"), [(PEER, 40), (STRANGER, 100)])
+def test_a_message_that_the_dialect_lacks_is_no_lost_frame(
+    peer: tuple[str, int], setpoints: int
+) -> None:
+    wire = Wire().ready()
+    wire.say(heartbeat(is_armed=True, status=4))
+    counts = []
+    for _ in range(200):
+        wire.wait(0.02)
+        wire.say(wire.position())
+        wire.bytes(unknown(wire.autopilot.encode(wire.position())), peer=peer)
+        counts.append(wire.endpoint.outlet.setpoints_sent)
+    assert counts[-1] - counts[99] == pytest.approx(setpoints, abs=3)
 
 
 def test_the_pace_is_configured() -> None:

@@ -31,6 +31,21 @@ def test_an_undisturbed_stream_loses_nothing_and_counts_up(begin: int, count: in
     assert (monitor.lost, monitor.late, monitor.duplicates) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("every", [2, 3, 10])
+def test_a_frame_that_could_not_be_verified_is_not_lost(every: int) -> None:
+    monitor = SequenceMonitor()
+    for sequence, now_s in stream(1000):
+        if sequence % every:
+            monitor.take(sequence, now_s)
+        else:
+            monitor.excuse(1)
+    loss = monitor.loss(999 * PERIOD_S)
+    assert loss is not None
+    assert loss < 0.02
+    assert abs(monitor.lost) <= 1
+    assert abs(monitor.received - 1000) <= 1
+
+
 @pytest.mark.parametrize("loss", [0.1, 0.3, 0.5])
 def test_the_share_that_is_lost_is_measured(loss: float) -> None:
     rng = random.Random(1)
