@@ -7,7 +7,7 @@ the local frame.
 
 Sources: the parameter references of PX4 1.15 (Commander, Geofence, Multicopter Position Control;
 GF_MAX_*: 0 is no limit), ArduCopter 4.5 (FS_*, GUID_*, FENCE_*; FENCE_TYPE is a mask: 1 ceiling,
-2 circle) and 4.7 (MAV_GCS_SYSID, WP_SPD), and the behaviour of both in SITL: PX4 with
+2 circle), their successors (MAN_OVERRIDE_SPD, MAV_GCS_SYSID, WP_SPD), and the behaviour of both in SITL: PX4 with
 COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to 0.9 m/s and drifts when setpoints stop; a position
 target of ArduPilot never times out.
 """
@@ -37,8 +37,13 @@ RC_OVERRIDE_OFFBOARD = 2
 PX4_WARNS_ONLY = 1
 """GF_ACTION up to this keeps the mode."""
 CEILING, CIRCLE = 1, 2
-RENAMED = {"SYSID_MYGCS": "MAV_GCS_SYSID", "WPNAV_SPEED": "WP_SPD"}
-"""Parameters of ArduCopter up to 4.6, and their names from 4.7 on: one of both is reported."""
+RENAMED = {
+    "COM_RC_OVERRIDE": "MAN_OVERRIDE_SPD",
+    "SYSID_MYGCS": "MAV_GCS_SYSID",
+    "WPNAV_SPEED": "WP_SPD",
+}
+"""Parameters of PX4 up to 1.17 and ArduCopter up to 4.6, and what came in their place: one of both
+is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +174,12 @@ def _px4_sticks(settings: Settings) -> Iterator[CheckResult]:
     yield ok("COM_RC_OVERRIDE", f"{value:g}: {how}")
 
 
+def _px4_stick_speed(settings: Settings) -> Iterator[CheckResult]:
+    value = settings["MAN_OVERRIDE_SPD"]
+    how = "sticks that move faster take over in OFFBOARD"
+    yield ok("MAN_OVERRIDE_SPD", f"{value:g} 1/s: {how if value >= 0.0 else 'sticks do not'}")
+
+
 def _px4_fence(settings: Settings) -> Iterator[CheckResult]:
     action = settings["GF_ACTION"]
     if action == 0:
@@ -231,6 +242,7 @@ RULES: Mapping[Autopilot, tuple[tuple[tuple[str, ...], SettingRule], ...]] = {
         (("COM_OF_LOSS_T",), _px4_loss_timeout),
         (("COM_OBL_RC_ACT",), _px4_loss_action),
         (("COM_RC_OVERRIDE",), _px4_sticks),
+        (("MAN_OVERRIDE_SPD",), _px4_stick_speed),
         (("GF_ACTION",), _px4_fence),
         (("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"), _px4_limits),
         (("MPC_XY_VEL_MAX",), partial(_check_speed, "MPC_XY_VEL_MAX", 1.0)),

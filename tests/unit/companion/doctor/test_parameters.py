@@ -99,7 +99,7 @@ def test_ardupilot_from_4_7_on_has_other_names(
     name: str, value: float, level: Level, text: str
 ) -> None:
     renamed = {RENAMED.get(old, old): value for old, value in ARDUPILOT_PARAMETERS.items()}
-    renamed |= dict.fromkeys(RENAMED) | {"WP_SPD": 10.0}
+    renamed |= {"SYSID_MYGCS": None, "WPNAV_SPEED": None, "WP_SPD": 10.0}
     facts = replace(ARDUPILOT, parameters=renamed)
     assert {f.level for f in check_parameters(facts, CompanionConfig())} == {Level.OK}
     (finding,) = findings_about(name, with_value(facts, name, value))
@@ -108,9 +108,18 @@ def test_ardupilot_from_4_7_on_has_other_names(
     assert not set(finding.fix.split()) & set(RENAMED)
 
 
+@pytest.mark.parametrize(("value", "text"), [(1.0, "1 1/s: sticks that move"), (-1.0, "do not")])
+def test_px4_from_1_18_on_has_a_speed_of_the_sticks(value: float, text: str) -> None:
+    others = {"COM_RC_OVERRIDE": None, "MAN_OVERRIDE_SPD": value}
+    facts = replace(PX4, parameters=PX4_PARAMETERS | others)
+    assert {f.level for f in check_parameters(facts, CompanionConfig())} == {Level.OK}
+    (finding,) = findings_about("MAN_OVERRIDE_SPD", facts)
+    assert text in finding.text
+
+
 @pytest.mark.parametrize("name", RENAMED)
 def test_a_parameter_reported_under_neither_name_is_missed_once(name: str) -> None:
-    facts = with_value(ARDUPILOT, name, None)
+    facts = with_value(PX4 if name in PX4_PARAMETERS else ARDUPILOT, name, None)
     assert len(list(f for f in check_parameters(facts, CompanionConfig()) if f.fix)) == 1
 
 
