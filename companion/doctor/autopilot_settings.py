@@ -7,9 +7,9 @@ the local frame.
 
 Sources: the parameter references of PX4 1.15 (Commander, Geofence, Multicopter Position Control;
 GF_MAX_*: 0 is no limit), ArduCopter 4.5 (FS_*, GUID_*, FENCE_*; FENCE_TYPE is a mask: 1 ceiling,
-2 circle), their successors (MAN_OVERRIDE_SPD, MAV_GCS_SYSID, WP_SPD), and the behaviour of both in SITL: PX4 with
-COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to 0.9 m/s and drifts when setpoints stop; a position
-target of ArduPilot never times out.
+2 circle), their successors (MAN_OVERRIDE_SPD, MAV_GCS_SYSID, WP_SPD), and the behaviour of both in
+SITL: PX4 with COM_OBL_RC_ACT = 0 and no RC sinks at 0.6 to 0.9 m/s and drifts when setpoints stop;
+a position target of ArduPilot never times out.
 """
 
 from __future__ import annotations

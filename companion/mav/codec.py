@@ -144,7 +144,9 @@ class FrameSplitter:
         good_ends = [end for _, end in taken]
         for start, end in guesses:
             if message_id(buffer[start:end]) in self._crc_extra_by_id:
-                continue  # a known message with a wrong CRC
+                # a wrong CRC, or bytes inside of a kept frame that resemble a known message
+                self.counters.bad_crc -= start < free_from
+                continue
             ends_well = end == len(buffer) or buffer[end] in HEADER_LENGTH
             next_good = bisect_right(good_ends, start)
             is_free = start >= free_from and not (

@@ -38,6 +38,18 @@ def test_a_magic_byte_inside_an_unknown_message_does_not_hold_the_stream_up() ->
     tricky = frame[:14] + bytes((MAGIC_V2,)) + frame[15:]
     assert link.split(tricky, is_datagram=False) == []
     assert link.take_unknown() == [tricky]
+
+
+def test_bytes_of_an_unknown_message_that_resemble_a_frame_are_no_bad_frame() -> None:
+    link = keeping()
+    inner = heartbeat()[:-1] + b"?"
+    outer = unknown(position())
+    outer = bytes((*outer[:1], len(inner), *outer[2:10])) + inner + outer[-2:]
+    link.split(position() + outer + heartbeat(), is_datagram=True)
+    assert link.take_unknown() == [outer]
+    assert link.counters.bad_crc == 0
+    link.split(inner, is_datagram=True)
+    assert link.counters.bad_crc == 1
     assert link.split(heartbeat(), is_datagram=False) == [heartbeat()]
 
 
