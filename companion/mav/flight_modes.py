@@ -27,6 +27,18 @@ PX4_MAIN_AND_SUB: dict[FlightMode, tuple[int, int]] = {
     FlightMode.STABILIZED: (7, 0),
 }
 
+PX4_OTHER_NAMES = {
+    (4, 8): "follow target",
+    (4, 9): "precision landing",
+    (4, 10): "VTOL takeoff",
+    **{(4, number): f"external mode {number - 10}" for number in range(11, 19)},
+    (4, 19): "guided course",
+    (4, 20): "descend",
+    (10, 0): "termination",
+    (11, 0): "altitude cruise",
+}
+"""Names by main and sub number of modes without a `FlightMode`, up to PX4 1.18."""
+
 OFFBOARD_NUMBER = 30
 """Number that all ArduPilot vehicles reserve for an external controller's mode; Copter has none
 itself, but a script may register one, which flies as GUIDED does (ArduPilot #28939, #28110)."""
@@ -190,7 +202,8 @@ def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Aut
         return names.get(number, "OFFBOARD" if number == OFFBOARD_NUMBER else f"MODE_{number}")
     main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
     mode = px4_mode(main, sub) if autopilot is Autopilot.PX4 else None
-    return f"mode {main}/{sub}" if mode is None else mode.value
+    other = PX4_OTHER_NAMES.get((main, sub), f"mode {main}/{sub}")
+    return other if mode is None else mode.value
 
 
 def set_mode_params(

@@ -126,7 +126,9 @@ def test_a_mode_without_a_name_is_told_by_its_number() -> None:
     assert other_mode_name(heartbeat(21, 3), Autopilot.ARDUPILOT) == "SMART_RTL"
     assert other_mode_name(heartbeat(99, 3), Autopilot.ARDUPILOT) == "MODE_99"
     assert other_mode_name(heartbeat(30, 3), Autopilot.ARDUPILOT) == "OFFBOARD"
-    assert other_mode_name(heartbeat(0x0804_0000), Autopilot.PX4) == "mode 4/8"
+    assert other_mode_name(heartbeat(0x1404_0000), Autopilot.PX4) == "descend"
+    assert other_mode_name(heartbeat(0x0B04_0000), Autopilot.PX4) == "external mode 1"
+    assert other_mode_name(heartbeat(0x6304_0000), Autopilot.PX4) == "mode 4/99"
 
 
 def test_an_unknown_autopilot_has_unknown_modes() -> None:
