@@ -196,11 +196,11 @@ def _add_demo(commands: Commands) -> None:
     _option(demo, "--speed", "X", "times real time", type=_SPEED, default=1.0)
     text = "scenario for sim-link: a file, or its name in configs/scenarios, for example "
     _file(demo, "--scenario", text + "field/phone_ftm, which brings the preset of that name")
-    text = "which autopilot to fly (default: the scenario's, px4)"
+    text = "autopilot to fly (default: the scenario's, px4)"
     demo.add_argument("--autopilot", choices=AUTOPILOTS, help=text)
     _config(demo)
     _file(demo, "--json", "write the result as JSON")
-    _file(demo, "--plot", "where to draw the track (default track.png)", default=Path("track.png"))
+    _file(demo, "--plot", "picture of the track (default track.png)", default=Path("track.png"))
     text = "serve the live map, with buttons (default port 8080), and open the browser"
     _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
     _tiles(demo)
@@ -259,20 +259,20 @@ def _add_setup(commands: Commands) -> None:
         "and service, compile ahead, run the doctor, and say what to set in the autopilot. "
         "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
-    setup.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="which one flies")
+    setup.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="the autopilot")
     text = f"link to the autopilot, for example {USUAL_LINK}"
     _option(setup, "--connect", "URL", text, dest="link")
     _option(setup, "--radio", "RADIO", "NAME[:KEY=VALUE,...]@URL, or none", dest="own_radio")
     text = "link that carries only ranging messages"
     _option(setup, "--ranging", "URL", text, dest="own_ranging")
-    _option(setup, "--preset", "NAME", "what to begin with: a file, or a name in configs")
+    _option(setup, "--preset", "NAME", "configuration to begin with: a file, or a name in configs")
     text = ".plan or .kml file with the fence, which is copied; or none: 150 m to each side"
     _option(setup, "--fence", "FILE", text, dest="site")
-    text = f"where the configuration goes (default: {SYSTEM} for root, else ~/.config/companion)"
+    text = f"folder of the configuration (default: {SYSTEM} for root, else ~/.config/companion)"
     _file(setup, "--directory", text, "DIR")
     text = "write a systemd unit into DIR as well, unless a package brought one"
     _file(setup, "--unit-directory", text, "DIR")
-    _option(setup, "--user", "NAME", "who runs the service (default: you)")
+    _option(setup, "--user", "NAME", "user of the service (default: you)")
     _switch(setup, "--no-doctor", "do not look at the autopilot now")
     _switch(setup, "--no-warm-up", "do not compile now")
     _switch(setup, "--remove", "undo the setup in --directory")
@@ -384,7 +384,7 @@ def _add_radio(commands: Commands) -> None:
         description="Show the readings of radios: rate, range, bearing, scatter, and refusals.",
     )
     watch.add_argument("radios", metavar="RADIO", nargs="*", help="NAME[:KEY=VALUE,...]@URL")
-    _add_listening(watch, "end after so many seconds (default: Ctrl-C)")
+    _add_listening(watch, "duration in seconds (default: until Ctrl-C)")
     record = parts.add_parser(
         "record",
         help="record what radios send, and the vehicle's poses meanwhile",
@@ -394,7 +394,7 @@ def _add_radio(commands: Commands) -> None:
     record.add_argument("file", metavar="FILE", type=Path)
     _radios(record)
     _option(record, "--connect", "URL", "link to the autopilot", dest="link")
-    _add_listening(record, "end after so many seconds (default: Ctrl-C)")
+    _add_listening(record, "duration in seconds (default: until Ctrl-C)")
     _add_calibrate(
         parts.add_parser(
             "calibrate",
@@ -414,20 +414,20 @@ def _add_listening(options: Options, text: str) -> None:
 def _add_calibrate(calibrate: Options) -> None:
     text = "recording of `companion radio record`; with --radio it is written first"
     _file(calibrate, "file", text, nargs="?")
-    text = "the emitter is so many metres from the antenna: find the radio's offset, and keep it"
+    text = "metres from the antenna to the emitter: find the radio's offset, and keep it"
     _option(calibrate, "--beside", "M", text, type=float)
     text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
     _file(calibrate, "--from-csv", text, dest="csv")
-    text = "where the emitter is, in degrees and metres above mean sea level (default: home's)"
+    text = "position of the emitter, degrees and metres above mean sea level (default: home's)"
     _option(calibrate, "--point", "LAT,LON[,AMSL]", text)
     text = "the same in metres east, north and up of the autopilot's origin"
     _option(calibrate, "--point-enu", "E,N,U", text)
     _option(calibrate, "--emitter", "ID", "its id, where there are several")
-    text = f"what FILE contains, {', '.join(TEST_NAMES)}, and when, in seconds; repeatable"
+    text = f"test in FILE, {', '.join(TEST_NAMES)}, and its time, in seconds; repeatable"
     _option(calibrate, "--test", "NAME[@FROM-TO]", text, action="append", default=[], dest="tests")
     _radios(calibrate, "record this radio first, NAME[:KEY=VALUE,...]@URL; repeatable")
     _option(calibrate, "--connect", "URL", "link to the autopilot", dest="link")
-    _add_listening(calibrate, "record so long (default: Ctrl-C)")
+    _add_listening(calibrate, "duration in seconds (default: until Ctrl-C)")
     _file(calibrate, "--json", "write all figures as JSON")
 
 

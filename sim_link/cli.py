@@ -141,7 +141,7 @@ def _add_scene(add: Callable[..., object]) -> None:
     scenario = "scenario YAML, for example configs/scenarios/canonical.yaml (default: the "
     scenario += "canonical scenario, built in)"
     add("--scenario", metavar="FILE", type=Path, help=scenario)
-    autopilot = "which autopilot to be (default: the scenario's, px4)"
+    autopilot = "autopilot to simulate (default: the scenario's, px4)"
     add("--autopilot", choices=("px4", "ardupilot"), help=autopilot)
     seed = "seed of all randomness (default 0)"
     add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help=seed)

@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a campaign, or one of its trials again; return the exit code."""
     epilog = "parts: " + "; ".join(f"{part.name}: {part.title}" for part in runner.PARTS.values())
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0], epilog=epilog)
-    parser.add_argument("--campaign", choices=runner.SIZES, default="ci", help="how much of it")
+    parser.add_argument("--campaign", choices=runner.SIZES, default="ci", help="its size")
     parser.add_argument("--only", action="append", default=[], metavar="PART", help="this part")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, metavar="N")

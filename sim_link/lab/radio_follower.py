@@ -293,10 +293,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="LAT,LON[,AMSL]",
         action="append",
         default=[],
-        help="where an emitter is, in degrees and metres; repeatable, ids count from 1 "
+        help="position of an emitter, degrees and metres; repeatable, ids count from 1 "
         "(default: the scenario's, about the vehicle's local origin)",
     )
-    add("--send-to", metavar="HOST:PORT", help="where measurements go (default: back to the link)")
+    add("--send-to", metavar="HOST:PORT", help="target of measurements (default: back to the link)")
     add("--scenario", metavar="FILE", type=Path, help="channel, payload, obstacles and emitters")
     add(
         "--rate",
@@ -307,10 +307,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help="of all randomness")
     names = ", ".join(sorted(EMULATORS))
     add("--as", dest="radio", metavar="NAME", help=f"print as this radio does: {names}")
-    where = "where the radio's bytes go: pty:PATH, serial:DEVICE:BAUD, udpout:HOST:PORT, "
+    where = "output of the radio's bytes: pty:PATH, serial:DEVICE:BAUD, udpout:HOST:PORT, "
     where += "tcpin:HOST:PORT, stdout:, http:HOST:PORT for a radio that is polled, or ws:HOST:PORT"
     add("--to", metavar="URL", help=where)
-    clock = "what the emulated radio's clock shows at the vehicle's second 0 (default: by the seed)"
+    clock = "reading of the emulated radio's clock at the vehicle's second 0 (default: by the seed)"
     add("--clock", metavar="S", type=number_in(0.0, 1e9), help=clock)
     above_zero = number_in(0.0, 1000.0, is_open=True)
     add("--speed", metavar="X", type=above_zero, default=1.0, help="of the simulator")

@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--autopilot", choices=[flavour.value for flavour in Flavour], default="px4"
     )
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long to count")
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration of the count")
     arguments = parser.parse_args(argv)
     with running_simulator(arguments.autopilot) as urls, ExitStack() as stack:
         links = [stack.enter_context(open_link(url)) for url in urls]

@@ -234,7 +234,7 @@ def parsed_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         "--role",
         choices=[role.value for role in rules.Role],
         default=rules.Role.VEHICLE.value,
-        help="what is there: a vehicle (default) or a companion, which is shown a vehicle",
+        help="peer: a vehicle (default) or a companion, which is shown a vehicle",
     )
     add(
         "--flavour",

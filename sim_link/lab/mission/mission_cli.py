@@ -241,9 +241,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--seed", metavar="N", type=number_in(0, kind=int), default=0, help="first seed (default 0)"
     )
-    repeat = "with so many seeds (default 1)"
+    repeat = "number of seeds (default 1)"
     add("--repeat", metavar="N", type=number_in(1, kind=int), default=1, help=repeat)
-    add("--jobs", metavar="J", type=number_in(1, kind=int), default=1, help="so many at once")
+    add("--jobs", metavar="J", type=number_in(1, kind=int), default=1, help="parallel flights")
     add("--backend", metavar="URL", default=LOCAL, help="fly on a cluster: dask://HOST:PORT")
     add("--junit", metavar="FILE", type=Path, help="write JUnit XML")
     add("--report", metavar="DIR", type=Path, help="write a report and logs of every flight")
