@@ -17,10 +17,10 @@ read before the timer fires, so that the first tick works with current data; a f
 by 0.1 s only.
 
 A stop (SIGINT, SIGTERM, SIGHUP or `request_stop`) asks the endpoint for an orderly end and gives it
-1.5 wall seconds; a second signal ends at once. Two within 0.3 s count as one: timeout(1) and some
-supervisors signal the process and then its group. An exception out of the endpoint is a bug of this
-program: it ends the loop and is raised, because a companion that is silent is safe (the autopilot's
-own failsafe takes over) and one in an unknown state is not.
+1.5 wall seconds; a second signal ends at once. Two within 0.3 s count as one, also once the loop
+has ended: timeout(1) and some supervisors signal the process and then its group. An exception out
+of the endpoint is a bug of this program: it ends the loop and is raised, because a companion that
+is silent is safe (the autopilot's own failsafe takes over) and one in an unknown state is not.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from types import FrameType
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from companion.io.links.link import Link
 from companion.io.links.transports import Transport, make_link
@@ -89,6 +90,7 @@ GATHER_S = 0.002
 millisecond, its cycles 4 to 20 ms apart."""
 
 OnWakeup = Callable[[float], None]
+SignalHandler: TypeAlias = "Callable[[int, FrameType | None], Any] | int | None"
 
 
 _READ, _WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
@@ -371,7 +373,21 @@ class Shell:
         finally:
             for number, handler in before.items():
                 loop.remove_signal_handler(number)
+                signal.signal(number, self._without_echo(handler))
+
+    def _without_echo(self, handler: SignalHandler) -> SignalHandler:
+        """Return the handler for the time after the run, which an echo of its signal is not for."""
+        signalled_s = self._signalled_s
+        if signalled_s is None:
+            return handler
+
+        def pass_on(number: int, _: object) -> None:
+            """Let a later signal do what it does without this shell."""
+            if time.monotonic() - signalled_s > SAME_SIGNAL_S:
                 signal.signal(number, handler)
+                signal.raise_signal(number)
+
+        return pass_on
 
     def _close(self) -> None:
         for handle in (self._timer, self._deadline):

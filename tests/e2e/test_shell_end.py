@@ -11,7 +11,7 @@ import time
 import pytest
 
 from companion.io.links.transports import UdpBind
-from companion.io.shell import Clock, Shell
+from companion.io.shell import SAME_SIGNAL_S, Clock, Shell
 from tests.e2e.shell_helpers import TIMEOUT_S, EchoEndpoint, TimeOfOurs
 
 
@@ -31,7 +31,10 @@ def test_a_finished_endpoint_ends_the_run() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
-    def own_handler(*_: object) -> None: ...
+    heard: list[int] = []
+
+    def own_handler(*_: object) -> None:
+        heard.append(len(heard))
 
     before = signal.signal(number, own_handler)
     endpoint = EchoEndpoint()
@@ -42,6 +45,11 @@ def test_a_signal_asks_the_endpoint_to_stop(number: signal.Signals) -> None:
 
     try:
         Shell(endpoint, [], Clock(), on_wakeup).run_blocking()
+        os.kill(os.getpid(), number)
+        assert heard == [], "the echo of the first must not disturb the closing of the files"
+        time.sleep(1.1 * SAME_SIGNAL_S)
+        os.kill(os.getpid(), number)
+        assert heard == [0]
         assert signal.getsignal(number) is own_handler
     finally:
         signal.signal(number, before)
