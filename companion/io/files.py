@@ -80,6 +80,9 @@ def read_file(path: Path) -> bytes:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+DEVICES = (Path("/dev"), Path("/dev/fd"))
+
+
 def write_json_atomic(path: Path, value: object) -> None:
     """Replace a JSON file as a whole; see `write_bytes_atomic`."""
     write_text_atomic(path, json.dumps(plain(value), allow_nan=False, indent=2) + "\n")
@@ -94,7 +97,8 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace a file as a whole: after a power cut there is either the old or the new content.
 
     `mode` is its permission bits before the umask. Raises a `CompanionError` if it cannot be
-    written; an old file is still there then.
+    written; an old file is still there then. A device or a pipe (/dev/stdout) is written to: root
+    would replace even those.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
@@ -103,6 +107,9 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
         return os.open(name, flags, mode)
 
     try:
+        if path.parent in DEVICES or (path.exists() and not path.is_file()):
+            path.write_bytes(content)
+            return
         temporary.unlink(missing_ok=True)
         with open(temporary, "wb", opener=opener) as file:
             file.write(content)

@@ -141,6 +141,16 @@ def test_moments_of_one_kernel_follow_each_other() -> None:
     assert second.boot_s >= first.boot_s
 
 
+def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_bytes_atomic(pipe, b"content")
+    assert pipe.is_fifo()
+    assert os.read(reader, 100) == b"content"
+    os.close(reader)
+
+
 def test_whole_bytes_replace_whole_bytes(tmp_path: Path) -> None:
     write_bytes_atomic(tmp_path / "a", b"1" * 100)
     write_bytes_atomic(tmp_path / "a", b"2", 0o600)
