@@ -145,7 +145,7 @@ def _config(options: Options, text: str = "companion configuration", **more: Any
     _file(options, "--config", text, **more)
 
 
-def _radios(options: Options, text: str = "as in flight", name: str = "radios") -> None:
+def _radios(options: Options, text: str = "radio as in flight", name: str = "radios") -> None:
     _option(options, "--radio", "RADIO", text, action="append", default=[], dest=name)
 
 
@@ -192,8 +192,8 @@ def _add_demo(commands: Commands) -> None:
         help="fly the canonical search on the simulator and watch it",
         description="Start sim-link, fly the canonical search over UDP, and show how well it went.",
     )
-    _option(demo, "--seed", "N", "of the simulator", type=number_in(0, kind=int), default=1)
-    _option(demo, "--speed", "X", "times real time", type=_SPEED, default=1.0)
+    _option(demo, "--seed", "N", "seed of the simulator", type=number_in(0, kind=int), default=1)
+    _option(demo, "--speed", "X", "multiple of real time", type=_SPEED, default=1.0)
     text = "scenario for sim-link: a file, or its name in configs/scenarios, for example "
     _file(demo, "--scenario", text + "field/phone_ftm, which brings the preset of that name")
     text = "autopilot to fly (default: the scenario's, px4)"
@@ -216,11 +216,11 @@ def _add_doctor(commands: Commands) -> None:
         "the remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
     )
     _option(doctor, "--connect", "URL", "link to the autopilot", dest="link", required=True)
-    _radios(doctor, "as in flight; listened to, one after the other")
+    _radios(doctor, "radio as in flight; listened to, one after the other")
     _config(doctor)
-    _file(doctor, "--signing-key", "as in flight", dest="key")
-    _switch(doctor, "--insecure", "as in flight", dest="is_insecure")
-    text, seconds = "to count streams (default 5)", number_in(1.0, MAX_SECONDS)
+    _file(doctor, "--signing-key", "signing key as in flight", dest="key")
+    _switch(doctor, "--insecure", "listen as in flight", dest="is_insecure")
+    text, seconds = "seconds for which streams are counted (default 5)", number_in(1.0, MAX_SECONDS)
     _option(doctor, "--seconds", "S", text, type=seconds, default=5.0)
     _switch(doctor, "--json", "print the results as JSON")
 
@@ -239,10 +239,10 @@ def _add_config(commands: Commands) -> None:
         "a file that can be used again, with the origin of each value behind it.",
     )
     _config(show)
-    _file(show, "--fence", "as in flight", dest="site")
-    _file(show, "--signing-key", "as in flight", dest="key")
+    _file(show, "--fence", "fence as in flight", dest="site")
+    _file(show, "--signing-key", "signing key as in flight", dest="key")
     _radios(show)
-    _switch(show, "--changed", "only what is no default")
+    _switch(show, "--changed", "only values that differ from the defaults")
     _switch(show, "--json", "print a list of path, value, origin")
     parts.add_parser(
         "schema",
@@ -288,11 +288,11 @@ def _add_tiles(commands: Commands) -> None:
         description="Get the tiles about a position from a server. You name it, so its terms of "
         "use are yours to keep; many public servers forbid fetching ahead.",
     )
-    fetch.add_argument("url", metavar="URL", help="with {z}, {x} and {y} in it")
+    fetch.add_argument("url", metavar="URL", help="server's address with {z}, {x} and {y}")
     _option(fetch, "--around", "LAT,LON", "centre, degrees", required=True)
     _option(fetch, "--radius", "M", "default 500", type=float, default=500.0)
     _option(fetch, "--zoom", "MIN-MAX", "default 13-17", default="13-17")
-    _file(fetch, "folder", "for --web-tiles DIR", "DIR")
+    _file(fetch, "folder", "folder for --web-tiles DIR", "DIR")
 
 
 def _add_warm_up(commands: Commands) -> None:
@@ -316,7 +316,7 @@ def _add_replay(commands: Commands) -> None:
         "the estimator, a filter per target.",
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)
-    text = "of a flight, times real time (default: as fast as possible)"
+    text = "speed of a flight, a multiple of real time (default: as fast as possible)"
     _option(replay, "--speed", "X", text, type=_SPEED)
     text = "show a flight on the live map, at --speed 1 unless given, once a browser has opened it "
     text += "(default port 8080)"
@@ -376,8 +376,8 @@ def _add_radio(commands: Commands) -> None:
         help="listen ten seconds, and print which radio it is and its command",
         description="Listen at an address, a serial port at its usual speeds, and name the radio.",
     )
-    identify.add_argument("url", metavar="@URL", help="as in NAME@URL")
-    _option(identify, "--seconds", "S", "in all", type=float, default=10.0)
+    identify.add_argument("url", metavar="@URL", help="address as in NAME@URL")
+    _option(identify, "--seconds", "S", "duration in seconds", type=float, default=10.0)
     watch = parts.add_parser(
         "watch",
         help="show the readings of a radio, live",

@@ -52,7 +52,7 @@ class Use:
 def main() -> int:
     """Measure each, and print a table."""
     parser = OneLineParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=positive, default=30, help="to look at each")
+    parser.add_argument("--seconds", type=positive, default=30, help="duration of each")
     parser.add_argument("--only", action="append", choices=CLIENTS, help="repeatable")
     parser.add_argument("--kernels", type=Path, metavar="FOLDER", help="compiled ahead")
     parser.add_argument("--json", type=Path, metavar="FILE")

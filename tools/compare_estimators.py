@@ -216,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Compare all estimators on a folder's walks; return the exit code."""
     parser = OneLineParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="recorded walks, *.csv")
-    parser.add_argument("--only", action="append", default=[], metavar="WALK", help="this one")
+    parser.add_argument("--only", action="append", default=[], metavar="WALK", help="this walk")
     parser.add_argument(
         "--own-sigma", type=float, metavar="M", help="standard deviation of the agent's positions"
     )

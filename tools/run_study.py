@@ -73,7 +73,7 @@ def parsed() -> argparse.Namespace:
         metavar="STUDY",
         help="a name in configs/studies, a YAML file, area, search, prior or power",
     )
-    parser.add_argument("--runs", type=positive, help="of every cell, instead of the study's")
+    parser.add_argument("--runs", type=positive, help="runs of every cell")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--backend", default="local", help="local, or dask://HOST:PORT")
@@ -82,7 +82,7 @@ def parsed() -> argparse.Namespace:
         action="append",
         default=[],
         metavar="NAME",
-        help="of a study of flights: this radio, configuration or planner; may be given again",
+        help="in a study of flights: this radio, configuration or planner; may be given again",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: studies/STUDY")
     return parser.parse_args()

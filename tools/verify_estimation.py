@@ -201,7 +201,7 @@ def parsed() -> argparse.Namespace:
         "choose Wi-Fi presets with each file left out in turn, too; half an hour of processor time"
     )
     parser.add_argument("--leave-one-out", action="store_true", help=text)
-    parser.add_argument("--runs", type=positive, default=200, help="of every system")
+    parser.add_argument("--runs", type=positive, default=200, help="runs of every system")
     parser.add_argument("--seed", type=non_negative, default=1)
     parser.add_argument("--jobs", type=positive, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")

@@ -304,7 +304,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=number_in(0.0, 50.0, is_open=True),
         help="measurements per second",
     )
-    add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help="of all randomness")
+    add("--seed", metavar="N", type=number_in(0, kind=int), default=0, help="seed of all draws")
     names = ", ".join(sorted(EMULATORS))
     add("--as", dest="radio", metavar="NAME", help=f"print as this radio does: {names}")
     where = "output of the radio's bytes: pty:PATH, serial:DEVICE:BAUD, udpout:HOST:PORT, "
@@ -313,7 +313,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     clock = "reading of the emulated radio's clock at the vehicle's second 0 (default: by the seed)"
     add("--clock", metavar="S", type=number_in(0.0, 1e9), help=clock)
     above_zero = number_in(0.0, 1000.0, is_open=True)
-    add("--speed", metavar="X", type=above_zero, default=1.0, help="of the simulator")
+    add("--speed", metavar="X", type=above_zero, default=1.0, help="speed of the simulator")
     add("--stop-on-eof", action="store_true", help="stop when standard input ends")
 
 

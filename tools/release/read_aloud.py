@@ -101,7 +101,7 @@ def findings() -> dict[str, list[str]]:
 def main() -> int:
     """Print the sample, or the findings of the check."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=1, help="of the sample")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument("--check", action="store_true", help="count, and exit with 1 over a limit")
     options = parser.parse_args()
     if options.check:
