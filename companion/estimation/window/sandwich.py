@@ -22,6 +22,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -335,81 +336,109 @@ STRETCHES = tuple(1.5**i for i in range(1, 9))
 Chosen: smaller steps cost more evaluations; between two a profiled cost is interpolated.
 """
 
-Cost = Callable[[Vector], float]
-ProfiledCost = Callable[[Vector], Steps[float]]
+
+class Valley(NamedTuple):
+    """Cost about an optimum."""
+
+    cost: Callable[[Vector], float]
+    """Cost of a state, (k,)."""
+    profiled: Callable[[Vector], Steps[float]]
+    """The same with the other states solved again, which is never more."""
+    noise: float
+    """Largest variance of the measurements over thermal noise in any direction."""
+    is_white: bool = False
+    """True if no error is spatially correlated: `cost` alone decides about a stretch."""
+    worth: int = 0
+    """Work of one cost, in measurements."""
 
 
-def stretch_covariance(
-    covariance: Matrix,
-    A: Matrix,
-    mean: Vector,
-    cost: Cost,
-    profiled: ProfiledCost | None = None,
-    *,
-    worth: int = 0,
-) -> Steps[Matrix]:
-    """Return the covariance, stretched along its longest axis where the cost is too flat.
+def fit_covariance(covariance: Matrix, A: Matrix, mean: Vector, valley: Valley) -> Steps[Matrix]:
+    """Return the covariance with its longest axis fitted to the rise of the cost.
 
-    `profiled` is the cost with the other states solved again, which rises by the profiled curvature
-    1 / v^T A^-1 v in direction v; it is evaluated only where `cost`, which is never less, rises
-    enough. With it each side has its own stretch, and its share of the probability is that of its
-    width. A step is `worth` so many measurements.
+    The profiled cost rises by the profiled curvature 1 / v^T A^-1 v in direction v; it is evaluated
+    only where the cost rises enough. With it each side has its own factor, and its share of the
+    probability is that of its width. A side shrinks where the cost rises by more than the noise
+    explains.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])
-    sigma_m = math.sqrt(max(float(values[1]), 0.0))
+    sigma_m, v = math.sqrt(max(float(values[1]), 0.0)), vectors[:, 1]
     if sigma_m == 0.0:
         return covariance
-    axis: Vector = covariance[:, :2] @ vectors[:, 1] / sigma_m
+    axis: Vector = covariance[:, :2] @ v / sigma_m
     curvature = float(axis @ A @ axis)
-    if profiled is not None:
-        curvature = float(values[1] / (vectors[:, 1] @ np.linalg.inv(A)[:2, :2] @ vectors[:, 1]))
+    if not valley.is_white:
+        curvature = float(values[1] / (v @ np.linalg.inv(A)[:2, :2] @ v))
     edge_sigmas = 2.45  # radius of the 95 % circle of a 2-D Gaussian
-    promised = 0.5 * edge_sigmas**2 * curvature
-    base = cost(mean)
-    sides = []
+    least = 0.5 * edge_sigmas**2 * curvature * MIN_RISE_SHARE
+    most = 0.5 * edge_sigmas**2 * max(curvature, valley.noise) / MIN_RISE_SHARE
+    base, sides = valley.cost(mean), []
     for side in (-1.0, 1.0):
         edge = side * edge_sigmas * axis
-        sides.append((yield from _stretch(mean, edge, base, promised, cost, profiled, worth)))
+        sides.append((yield from _factor(mean, edge, base, least, most, valley)))
     one, other = sides
     if one == other == 1.0:
         return covariance
-    stretch2 = max(one, other) ** 2
-    if profiled is not None:
-        # second moment about the mode of a normal whose two halves have these deviations
-        stretch2 = one * one - one * other + other * other
-    wider: Matrix = covariance + (stretch2 - 1.0) * np.outer(axis, axis)
-    return wider
+    # second moment about the mode of a normal whose two halves have these deviations
+    factor2 = one * one - one * other + other * other
+    if valley.is_white and max(sides) > 1.0:
+        factor2 = max(sides) ** 2
+    fitted: Matrix = covariance + (factor2 - 1.0) * np.outer(axis, axis)
+    return fitted
 
 
-def _stretch(
-    mean: Vector,
-    edge: Vector,
-    base: float,
-    promised: float,
-    cost: Cost,
-    profiled: ProfiledCost | None,
-    worth: int,
+def _factor(
+    mean: Vector, edge: Vector, base: float, least: float, most: float, valley: Valley
 ) -> Steps[float]:
     """Return the factor on `edge` (k,) at which the cost has risen from `base` by enough.
 
-    Between two factors that were tried, the root of a profiled rise is taken as linear, as it is of
-    a parabola. Other costs rise by too much, because the rest of the state stays: the factor is the
-    next one.
+    It is 1 where it rises by `least` to `most`. Across a straight path on which the target lies,
+    ranges have no curvature, but a cost that rises with the fourth power: by the curvature alone,
+    the target could be anywhere across.
     """
-    wanted = MIN_RISE_SHARE * promised
-    last, below = 0.0, 0.0
-    for factor in (1.0, *STRETCHES):
+    last, below = 1.0, valley.cost(mean + edge) - base
+    yield valley.worth
+    is_unsure = below >= least and not valley.is_white
+    while below > most:
+        last /= STRETCHES[1]  # two steps at once: every step back profiles
+        below = valley.cost(mean + last * edge) - base
+        yield valley.worth
+    while last < 1.0 or is_unsure:
+        factor, is_unsure = min(STRETCHES[1] * last, 1.0), False
+        rise = (yield from valley.profiled(mean + factor * edge)) - base
+        if rise > most:
+            return _between(last, below, factor, rise, most)
+        last, below = factor, rise
+    if below >= least:
+        return 1.0
+    return (yield from _stretch(mean, edge, base, least, below, valley))
+
+
+def _stretch(
+    mean: Vector, edge: Vector, base: float, least: float, below: float, valley: Valley
+) -> Steps[float]:
+    """Return the factor on `edge` (k,), over 1, from a rise `below` that is not enough.
+
+    A cost that is not profiled rises by too much, because the rest of the state stays: the factor
+    is the next one that was tried.
+    """
+    last = 1.0
+    for factor in STRETCHES:
         at = mean + factor * edge
-        rise = cost(at) - base
-        yield worth
-        if rise >= wanted and profiled is not None:
-            rise = (yield from profiled(at)) - base
-        if rise >= wanted:
-            break
-        last, below = factor, max(rise, 0.0)
-    else:
-        return factor
-    if last == 0.0 or profiled is None:
-        return factor
-    share = (math.sqrt(wanted) - math.sqrt(below)) / (math.sqrt(rise) - math.sqrt(below))
-    return last + share * (factor - last)
+        rise = valley.cost(at) - base
+        yield valley.worth
+        if rise >= least and not valley.is_white:
+            rise = (yield from valley.profiled(at)) - base
+        if rise >= least:
+            return factor if valley.is_white else _between(last, below, factor, rise, least)
+        last, below = factor, rise
+    return last
+
+
+def _between(last: float, below: float, factor: float, above: float, wanted: float) -> float:
+    """Return the factor at which a cost rises by `wanted`, between two that rise by less and more.
+
+    The rise is taken as a power of the factor, which for a parabola is the second.
+    """
+    below = max(below, 1e-3 * wanted)  # flat: the factor is nearly the larger one
+    share = math.log(wanted / below) / math.log(above / below)
+    return float(last * (factor / last) ** share)

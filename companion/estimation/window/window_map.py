@@ -12,9 +12,11 @@ rotate around the path from call to call: the cost of a call is bounded by N, an
 found in the end. Each optimum has a sandwich covariance.
 
 A bearing from far away or a range from nearly one position leaves a valley that is steep at the
-optimum and flat beyond it, where the curvature is too optimistic. So the cost is evaluated along
-the most uncertain direction, out to the edge of the 95 % circle. Where it rises by less than half
-of what the curvature predicts, the deviation is stretched to where it does.
+optimum and flat beyond it, where the curvature is too optimistic. Ranges from a line on which the
+target lies leave one without curvature across, in which the cost rises all the same. So the cost is
+evaluated along the most uncertain direction, out to the edge of the 95 % circle. Where it rises by
+less than half of what the curvature predicts, the deviation is stretched to where it does; where it
+rises by more than twice what the noise explains, the deviation shrinks to where it no longer does.
 
 Paper: eq. (9). Deviation: when the window is full, it is thinned where the vehicle stayed longest
 instead of dropping the oldest, because old measurements often hold the only view from the other
@@ -72,14 +74,15 @@ from companion.estimation.window.rivals import IMPROBABLE_LOG_RATIO, Optimum, lo
 from companion.estimation.window.sandwich import (
     Scores,
     SpatialNoises,
+    Valley,
     correlated_variability,
     covariance_of,
     curvature,
+    fit_covariance,
     is_all_white,
     pooled_variability,
     shares_of,
     spatial_variability,
-    stretch_covariance,
     thermal_moment,
 )
 from companion.estimation.window.shadows import spatial_noises
@@ -362,7 +365,8 @@ class WindowMap:
         pass_count = 4  # for one covariance: scores, curvature and variabilities
         try:
             covariance, A, B = self._sandwich(rows, scores, older, is_white)
-            inflation = max(1.0, float(np.trace(B @ np.linalg.inv(A))) / len(mean))
+            ratios = np.linalg.eigvals(np.linalg.solve(A, B)).real
+            inflation, noise = max(1.0, float(ratios.mean())), float(ratios.max())
             spread_m2 = float(np.trace(covariance[:2, :2]))
             has_directions = any(scores.counts[row] for row in self._directions)
             # each costs a covariance; with 3 or 12, R95 of recorded walks changes by at most 3 %
@@ -375,17 +379,19 @@ class WindowMap:
                     break
         except np.linalg.LinAlgError:
             return None
-        cost_at, profiled = partial(self._cost, rows, older=older), None
-        if not is_all_white(self.spatial_noise):
-            profiled = partial(self._profiled_cost, rows, mean, older=older)
-        yield passes(pass_count, len(rows))
-        covariance = yield from stretch_covariance(
-            covariance, A, mean, cost_at, profiled, worth=passes(2, len(rows))
+        valley = Valley(
+            partial(self._cost, rows, older=older),
+            partial(self._profiled_cost, rows, mean, older=older),
+            noise,
+            is_all_white(self.spatial_noise),
+            worth=passes(2, len(rows)),
         )
+        yield passes(pass_count, len(rows))
+        covariance = yield from fit_covariance(covariance, A, mean, valley)
         if math.sqrt(float(np.trace(covariance[:2, :2]))) > self.vaguest_sigma_m:
             return None
-        noise = [max(1.0, scores.inflation(m, len(mean))) for m in range(len(scores.u))]
-        return Optimum(mean, cost, covariance, inflation, scores, tuple(noise))
+        noises = [max(1.0, scores.inflation(m, len(mean))) for m in range(len(scores.u))]
+        return Optimum(mean, cost, covariance, inflation, scores, tuple(noises))
 
     def widths(
         self, rows: Matrix, mean: Vector, older: OlderEvidence | None, *, is_white: bool

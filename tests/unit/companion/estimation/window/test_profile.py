@@ -1,6 +1,8 @@
-"""Uncertainty beyond the linearised one: where the cost is flatter than its curvature."""
+"""Uncertainty beyond the linearised one: where the cost rises by less or more than it says."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,8 +17,8 @@ from companion.estimation.window.map_kernels import (
 from companion.estimation.window.sandwich import (
     MIN_RISE_SHARE,
     STRETCHES,
-    Cost,
-    stretch_covariance,
+    Valley,
+    fit_covariance,
 )
 from companion.kernel import Matrix, Vector
 from tests.unit.companion.estimation.walks import params
@@ -26,16 +28,19 @@ COVARIANCE = np.asarray(np.linalg.inv(A))
 MEAN = np.array([40.0, 25.0, 1.0, 0.0])
 
 
-def stretched(covariance: Matrix, curvature: Matrix, mean: Vector, cost: Cost) -> Matrix:
-    return finish(stretch_covariance(covariance, curvature, mean, cost))
+Cost = Callable[[Vector], float]
 
 
-def stretched_by_profile(cost: Cost) -> Matrix:
+def _valley(cost: Cost, *, noise: float = 1.0, is_white: bool = False) -> Valley:
     def profiled(x: Vector) -> Steps[float]:
         yield 0
         return cost(x)
 
-    return finish(stretch_covariance(COVARIANCE, A, MEAN, cost, profiled))
+    return Valley(cost, profiled, noise, is_white)
+
+
+def fitted(cost: Cost, covariance: Matrix = COVARIANCE, curvature: Matrix = A) -> Matrix:
+    return finish(fit_covariance(covariance, curvature, MEAN, _valley(cost)))
 
 
 def _quadratic(share: float = 1.0) -> Cost:
@@ -52,19 +57,19 @@ def _plain(x: Vector) -> float:
     return 7.0 + 0.0 * float(x[0])
 
 
-@pytest.mark.parametrize("share", [1.0, 3.0, 1.01 * MIN_RISE_SHARE])
+@pytest.mark.parametrize("share", [1.0, 0.99 / MIN_RISE_SHARE, 1.01 * MIN_RISE_SHARE])
 def test_where_the_cost_keeps_its_promise_nothing_changes(share: float) -> None:
-    assert stretched(COVARIANCE, A, MEAN, _quadratic(share)) is COVARIANCE
+    assert fitted(_quadratic(share)) is COVARIANCE
 
 
 @pytest.mark.parametrize("share", [0.4, 0.1, 0.05])
 def test_where_it_is_flatter_the_longest_axis_is_longer(share: float) -> None:
-    wider = stretched(COVARIANCE, A, MEAN, _quadratic(share))
-    ratio = float(np.sqrt(wider[0, 0] / COVARIANCE[0, 0]))
+    wider = fitted(_quadratic(share))
     needed = float(np.sqrt(MIN_RISE_SHARE / share))
-    assert needed * (1.0 - 1e-9) <= ratio <= 1.5 * needed
-    profiled = stretched_by_profile(_quadratic(share))
-    assert np.sqrt(profiled[0, 0] / COVARIANCE[0, 0]) == pytest.approx(needed)
+    assert np.sqrt(wider[0, 0] / COVARIANCE[0, 0]) == pytest.approx(needed)
+    white = _valley(_quadratic(share), is_white=True)
+    coarse = finish(fit_covariance(COVARIANCE, A, MEAN, white))
+    assert needed <= np.sqrt(coarse[0, 0] / COVARIANCE[0, 0]) <= 1.5 * needed
     others = wider - COVARIANCE
     others[0, 0] = 0.0
     assert np.abs(others).max() < 1e-12
@@ -74,9 +79,7 @@ def test_one_flat_side_is_enough() -> None:
     def cost(x: Vector) -> float:
         return _quadratic(1.0 if x[0] < MEAN[0] else 0.1)(x)
 
-    assert stretched(COVARIANCE, A, MEAN, cost)[0, 0] > COVARIANCE[0, 0]
-    one_sided = stretched_by_profile(cost)[0, 0]
-    assert COVARIANCE[0, 0] < one_sided < stretched_by_profile(_quadratic(0.1))[0, 0]
+    assert COVARIANCE[0, 0] < fitted(cost)[0, 0] < fitted(_quadratic(0.1))[0, 0]
 
 
 @pytest.mark.parametrize("share", [0.4, 0.1])
@@ -90,19 +93,19 @@ def test_halves_of_two_widths_have_their_own_second_moment(share: float) -> None
     rng = np.random.default_rng(3)
     side = np.where(rng.random(200_000) < wide / (1.0 + wide), wide, -1.0)
     drawn = 3.0 * side * np.abs(rng.normal(size=200_000))
-    wider = stretched_by_profile(cost)
+    wider = fitted(cost)
     assert wider[0, 0] == pytest.approx(np.mean(drawn**2), rel=0.02)
 
 
 def test_a_plain_without_end_is_stretched_as_far_as_it_goes() -> None:
-    wider = stretched(COVARIANCE, A, MEAN, _plain)
+    wider = fitted(_plain)
     assert np.sqrt(wider[0, 0] / COVARIANCE[0, 0]) == pytest.approx(STRETCHES[-1])
 
 
 def test_correlated_components_follow() -> None:
     P = np.array(COVARIANCE)
     P[0, 2] = P[2, 0] = 1.2
-    wider = stretched(P, np.asarray(np.linalg.inv(P)), MEAN, _plain)
+    wider = fitted(_plain, P, np.asarray(np.linalg.inv(P)))
     assert wider[0, 2] / wider[0, 0] == pytest.approx(P[0, 2] / P[0, 0])
     assert np.linalg.eigvalsh(wider)[0] > 0.0
     assert np.array_equal(wider, wider.T)
@@ -110,7 +113,7 @@ def test_correlated_components_follow() -> None:
 
 def test_without_uncertainty_there_is_nothing_to_stretch() -> None:
     nothing = np.zeros((4, 4))
-    assert stretched(nothing, A, MEAN, _plain) is nothing
+    assert fitted(_plain, nothing) is nothing
 
 
 def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
@@ -128,14 +131,12 @@ def test_bearings_from_far_away_do_not_end_where_the_curvature_says() -> None:
     offs = measured_innovations(rows, mean, p.model)
     curvature, _, _ = normal_equations(rows, mean, offs, sigmas, p.thresholds, *prior)
     covariance = np.asarray(np.linalg.inv(curvature))
-    wider = stretched(
-        covariance,
-        curvature,
-        mean,
-        lambda x: float(
-            map_cost(rows, measured_innovations(rows, x, p.model), x, sigmas, p.thresholds, *prior)
-        ),
-    )
+
+    def cost(x: Vector) -> float:
+        offs = measured_innovations(rows, x, p.model)
+        return float(map_cost(rows, offs, x, sigmas, p.thresholds, *prior))
+
+    wider = finish(fit_covariance(covariance, curvature, mean, _valley(cost)))
     assert wider[1, 1] > 1.3**2 * covariance[1, 1]
     assert wider[0, 0] < 1.3**2 * covariance[0, 0]
 
@@ -154,4 +155,31 @@ def test_a_profiled_cost_is_held_to_the_profiled_curvature() -> None:
         yield 0
         return 0.5 * float(x[0] - MEAN[0]) ** 2 / float(np.linalg.inv(curvature)[0, 0])
 
-    assert finish(stretch_covariance(tilted, curvature, MEAN, cost, profiled)) is tilted
+    assert finish(fit_covariance(tilted, curvature, MEAN, Valley(cost, profiled, 1.0))) is tilted
+
+
+@pytest.mark.parametrize("is_white", [True, False])
+@pytest.mark.parametrize("noise", [1.0, 4.0])
+def test_where_the_cost_is_steeper_than_the_noise_explains_the_axis_is_shorter(
+    noise: float, is_white: bool
+) -> None:
+    """A rise with the fourth power, as across a path on which the target lies."""
+    at_edge = 2.45 * 3.0
+
+    def cost(x: Vector) -> float:
+        across = x - np.array([x[0] - MEAN[0], 0.0, 0.0, 0.0]) - MEAN
+        return float(900.0 * ((x[0] - MEAN[0]) / at_edge) ** 4 + 0.5 * (across @ A @ across))
+
+    valley = _valley(cost, noise=noise, is_white=is_white)
+    shorter = finish(fit_covariance(COVARIANCE, A, MEAN, valley))
+    wanted = 0.5 * 2.45**2 * noise / MIN_RISE_SHARE
+    factor = (wanted / 900.0) ** 0.25
+    assert np.sqrt(shorter[0, 0] / COVARIANCE[0, 0]) == pytest.approx(factor, rel=0.05)
+    assert np.linalg.eigvalsh(shorter)[0] > 0.0
+
+
+def test_one_steep_side_shrinks_alone() -> None:
+    def cost(x: Vector) -> float:
+        return _quadratic(1.0 if x[0] < MEAN[0] else 100.0)(x)
+
+    assert 0.25 * COVARIANCE[0, 0] < fitted(cost)[0, 0] < COVARIANCE[0, 0]
