@@ -37,7 +37,7 @@ PX4_OTHER_NAMES = {
     (10, 0): "termination",
     (11, 0): "altitude cruise",
 }
-"""Names by main and sub number of modes without a `FlightMode`, up to PX4 1.18."""
+"""Names by main and sub number of modes without a `FlightMode`, up to PX4 1.18-dev."""
 
 OFFBOARD_NUMBER = 30
 """Number that all ArduPilot vehicles reserve for an external controller's mode; Copter has none
