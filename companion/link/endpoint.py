@@ -178,10 +178,12 @@ class CompanionEndpoint:
 
     def _note_unknown(self, frames: list[bytes], chunk: Chunk, now_s: float) -> None:
         """Note frames of messages that the dialect lacks, for the loss of the link."""
+        if chunk.peer != self.binding.peer:
+            return  # a stranger's frames would only fill the log
         if self._recorder is not None:
             for frame in frames:
                 self._recorder.frame(frame, chunk.link, chunk.peer, now_s)
-        self.executor.note_unknown(frames, chunk.peer)
+        self.executor.note_unknown(frames)
 
     def handle_timer(self, now_s: float) -> None:
         """Run the control tick, without making up for a late one; before it is due, deferred work.

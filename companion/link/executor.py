@@ -109,10 +109,10 @@ class SessionExecutor:
                 self._queries.stopper.hear(number, now_s)
             self._health.sequence.take(sequence, now_s)
 
-    def note_unknown(self, frames: Sequence[bytes], peer: Address | None) -> None:
+    def note_unknown(self, frames: Sequence[bytes]) -> None:
         """Note frames of messages that the dialect lacks, whose checksum cannot be verified."""
         bound = self.binding.bound
-        if bound is not None and peer == self.binding.peer:
+        if bound is not None:
             self._health.sequence.excuse(sum(sender_of(frame) == bound.ids for frame in frames))
 
     def receive(self, message: Message, now_s: float) -> None:
