@@ -23,7 +23,6 @@ import numpy as np
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Corners, Point
 from companion.handoff import DECIMALS, NAMESPACE, add_text, feature, utc_text, xml_text
-from companion.search.detection_model import DetectionModel
 from companion.search.search_grid import SearchGrid
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import (
@@ -63,6 +62,7 @@ def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, b
 def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str, object]:
     """Return `result.json` of a flight without a report; with one it is `searched` in there."""
     gaps = [] if state is None else gaps_of(state)
+    model = flight.detection
     return {
         "state": "not_found" if flight.contact_unix_s is None else "heard",
         "statement": statement(flight, state),
@@ -81,17 +81,12 @@ def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str
         "sought": flight.sought,
         "listened_s": flight.listened_s,
         "is_radio_heard": flight.is_radio_heard,
-        "assumptions": None if flight.detection is None else _assumptions(flight.detection),
+        "assumptions": model and {**msgspec.to_builtins(model), **model.propagation._asdict()},
         "reach_source": reach_source(flight),
         "reach_learnt": None if flight.learnt is None else msgspec.to_builtins(flight.learnt),
         "track": _track(flight),
         "unix_s": flight.ended_unix_s,
     }
-
-
-def _assumptions(model: DetectionModel) -> dict[str, object]:
-    """Return the detection model with the figures of its environment."""
-    return {**msgspec.to_builtins(model), **model.propagation._asdict()}
 
 
 def _track(flight: SearchedFlight) -> list[list[float]]:

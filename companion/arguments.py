@@ -114,7 +114,13 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"companion {__version__}")
     _add_links(parser)
     _add_flight(parser)
-    _add_web(parser.add_argument_group("live map (extra web)"))
+    web = parser.add_argument_group("live map (extra web)")
+    text = "serve the live map; without HOST to this computer only, beyond it with a token"
+    _option(web, "--web", "[HOST:]PORT", text, dest="fly_web")
+    _switch(web, "--web-control", "with HOLD, RESUME and RETURN")
+    _option(web, "--web-token", "TEXT", "token instead of a random one")
+    _switch(web, "--web-open", "viewing needs no token, buttons do")
+    _tiles(web, dest="fly_web_tiles")
     commands = parser.add_subparsers(
         dest="command", metavar="{demo,setup,doctor,replay,report,area,radio,tiles,config,warm-up}"
     )
@@ -175,15 +181,6 @@ def _add_flight(parser: Options) -> None:
     _switch(parser, "--fresh", "ignore state saved by an unclean exit")
     _switch(parser, "--once", "end after the target is reported")
     _switch(parser, "--quiet", "only notices, warnings and errors")
-
-
-def _add_web(web: Options) -> None:
-    text = "serve the live map; without HOST to this computer only, beyond it with a token"
-    _option(web, "--web", "[HOST:]PORT", text, dest="fly_web")
-    _switch(web, "--web-control", "with HOLD, RESUME and RETURN")
-    _option(web, "--web-token", "TEXT", "token instead of a random one")
-    _switch(web, "--web-open", "viewing needs no token, buttons do")
-    _tiles(web, dest="fly_web_tiles")
 
 
 def _add_demo(commands: Commands) -> None:

@@ -60,7 +60,6 @@ from companion.planning.search import SearchPlanner, SearchThenCross
 from companion.planning.search_probability import ProbabilityPlanner
 from companion.planning.views import Antenna
 from companion.search.outlook import LegTable
-from companion.search.search_grid import SearchSite
 
 log = logging.getLogger("companion.run")
 ROWS: dict[AntennaKind, int] = {"auto": 0, "azimuth": 0, "planar": 1, "line": 1, "two_axis": 2}
@@ -125,6 +124,7 @@ def _antenna(params: AntennaParams) -> Antenna:
 
 def build_session(config: CompanionConfig) -> GuidanceSession:
     """Return the guidance of one flight."""
+    path = config.search.area_file
     return GuidanceSession(
         config.mission,
         EmitterQueue(config.tracking, config.emitters, searches_on=config.mission.searches_on),
@@ -135,16 +135,10 @@ def build_session(config: CompanionConfig) -> GuidanceSession:
         searching=Searching(
             config.search,
             config.detection,
-            search_site(config),
+            None if path is None else read_search_site(Path(path)),
             is_planned=config.planner.search == "probability",
         ),
     )
-
-
-def search_site(config: CompanionConfig) -> SearchSite | None:
-    """Return the areas of the configured file; None: the emitter may be anywhere in the fence."""
-    path = config.search.area_file
-    return None if path is None else read_search_site(Path(path))
 
 
 def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:

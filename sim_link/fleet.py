@@ -39,6 +39,10 @@ def load_scenario(path: Path) -> Scenario:
 def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, object]:
     """Return state and truth at the start: metres, degrees counter-clockwise, about `origin`."""
     vehicle, scenario = endpoint.vehicle, endpoint.vehicle.scenario
+    position_enu_m = (*scenario.emitter.position_enu_m, scenario.emitter.height_m)
+    names = ("latitude_deg", "longitude_deg", "altitude_m")
+    position = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
+    emitter = {"id": scenario.emitter.emitter_id, "enu_m": list(position_enu_m)}
     return {
         "version": 1,  # of this form
         "state": "running",
@@ -50,7 +54,7 @@ def start_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, ob
         "origin": msgspec.to_builtins(scenario.origin),
         "area_m": list(scenario.area_m),
         "start_enu_m": list(vehicle.home_enu_m),
-        "emitter": _emitter(endpoint, scenario),
+        "emitter": emitter | dict(zip(names, position, strict=True)),
         "offsets": {
             "range_m": scenario.channel.range_offset_m,
             "bearing_deg": scenario.channel.bearing_offset_deg,
@@ -79,14 +83,6 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
         ],
         "track": [[round(value, 3) for value in point] for point in recorder.track],
     }
-
-
-def _emitter(endpoint: SimEndpoint, scenario: Scenario) -> dict[str, object]:
-    position_enu_m = (*scenario.emitter.position_enu_m, scenario.emitter.height_m)
-    names = ("latitude_deg", "longitude_deg", "altitude_m")
-    position = endpoint.vehicle.origin.geodetic_from_enu(position_enu_m)
-    emitter = {"id": scenario.emitter.emitter_id, "enu_m": list(position_enu_m)}
-    return emitter | dict(zip(names, position, strict=True))
 
 
 class Fleet:

@@ -182,6 +182,11 @@ class DoctorProbe(OneShotEndpoint):
         mode = mode_of(heartbeat, binding.autopilot)
         other = other_mode_name(heartbeat, binding.autopilot)
         fix = self._newest_of(mavlink.MAVLink_gps_raw_int_message)
+        state = self._newest_of(mavlink.MAVLink_extended_sys_state_message)
+        is_undefined = state is None or state.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
+        empty = {"EXTENDED_SYS_STATE": is_undefined, "GPS_GLOBAL_ORIGIN": self._origin() is None}
+        px4 = self._newest_of(mavlink.MAVLink_estimator_status_message)
+        status = px4 or self._newest_of(MAVLink_ekf_status_report_message)
         return AutopilotFacts(
             autopilot=binding.autopilot,
             vehicle_class=class_of(heartbeat),
@@ -192,9 +197,9 @@ class DoctorProbe(OneShotEndpoint):
             rates=self._rates(),
             parameters={question.name: question.value for question in self._requests},
             has_rc=self._has_rc(),
-            heard=frozenset(newest) - self._empty,
+            heard=frozenset(newest) - {name for name, is_empty in empty.items() if is_empty},
             origin=self._origin(),
-            estimator_flags=self._estimator_flags(),
+            estimator_flags=None if status is None else int(status.flags),
             gps_fix=None if fix is None else fix.fix_type,
             battery_pct=self._battery_pct(),
             round_trip_s=self._clock.round_trip_s,
@@ -212,14 +217,6 @@ class DoctorProbe(OneShotEndpoint):
             StreamRate(name, hertz, self._counts[name], seconds) for name, hertz in asked.items()
         )
 
-    @property
-    def _empty(self) -> set[str]:
-        """Kinds of messages that were received without content."""
-        state = self._newest_of(mavlink.MAVLink_extended_sys_state_message)
-        is_undefined = state is None or state.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
-        empty = {"EXTENDED_SYS_STATE": is_undefined, "GPS_GLOBAL_ORIGIN": self._origin() is None}
-        return {name for name, is_empty in empty.items() if is_empty}
-
     def _newest_of(self, kind: type[M]) -> M | None:
         message = self._newest.get(kind.msgname)
         return message if isinstance(message, kind) else None
@@ -227,11 +224,6 @@ class DoctorProbe(OneShotEndpoint):
     def _origin(self) -> LocalOrigin | None:
         message = self._newest_of(mavlink.MAVLink_gps_global_origin_message)
         return None if message is None else origin_of(message, self._binding.autopilot)
-
-    def _estimator_flags(self) -> int | None:
-        px4 = self._newest_of(mavlink.MAVLink_estimator_status_message)
-        status = px4 or self._newest_of(MAVLink_ekf_status_report_message)
-        return None if status is None else int(status.flags)
 
     def _has_rc(self) -> bool | None:
         status = self._newest_of(mavlink.MAVLink_sys_status_message)

@@ -234,18 +234,14 @@ class Handover:
         context = self._context
         if event.origin != context.vehicle.origin:
             context.record("origin", **asdict(event.origin))
-            self._warn_of_fit(event)
+            origin = event.origin
+            origin_deg_m = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+            if event.off_m and origin_deg_m != self._fitted_at:
+                self._fitted_at = origin_deg_m
+                off_m = f"{event.off_m:.1f}"
+                text = f"global position {off_m} m off the local one: using the fitted transform"
+                self._context.warn(text)
         context.vehicle.handle(event)
-
-    def _warn_of_fit(self, event: events.OriginSet) -> None:
-        """Warn once per reported origin that positions use the fitted transform."""
-        origin = event.origin
-        origin_deg_m = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
-        if event.off_m and origin_deg_m != self._fitted_at:
-            self._fitted_at = origin_deg_m
-            off_m = f"{event.off_m:.1f}"
-            text = f"global position {off_m} m off the local one: using the fitted transform"
-            self._context.warn(text)
 
     def take_home(self, event: events.HomeSet) -> None:
         """Set the vehicle's home; if it moves in flight, hold for a moment and warn.

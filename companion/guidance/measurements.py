@@ -115,15 +115,11 @@ class FusionQueue:
                 reports.append(end.value)
             finally:
                 if is_over:  # also if it raised: what makes a filter fail is not repeated
-                    self._end(key)
+                    queue = self.by_emitter.pop(key)
+                    queue.popleft()
+                    if queue:
+                        self.by_emitter[key] = queue
         return reports
-
-    def _end(self, key: int) -> None:
-        """Remove a measurement, and move its emitter to the end of the turn."""
-        queue = self.by_emitter.pop(key)
-        queue.popleft()
-        if queue:
-            self.by_emitter[key] = queue
 
 
 class RangingListener:

@@ -203,18 +203,15 @@ class LaunchPermit:
             text = f"no automatic takeoff: vehicle was found {found}"
             context.warn(f"{text}; switch to {vehicle.guided_name}")
         elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
-            self._await_landed_state(now_s)
+            if self._silent_since_s is None:
+                self._silent_since_s = now_s
+            if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
+                return
+            self._is_silence_announced = True
+            text = "no automatic takeoff: autopilot reports no landed state"
+            self._context.warn(text)
         else:
             self._silent_since_s = None
-
-    def _await_landed_state(self, now_s: float) -> None:
-        if self._silent_since_s is None:
-            self._silent_since_s = now_s
-        if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
-            return
-        self._is_silence_announced = True
-        text = "no automatic takeoff: autopilot reports no landed state"
-        self._context.warn(text)
 
 
 ORIGIN_PATIENCE_S = 15.0

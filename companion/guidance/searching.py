@@ -36,7 +36,6 @@ from companion.search.searched_area import (
     learnt_reach,
 )
 from companion.search.searched_flight import (
-    ReachSource,
     SearchAreaParams,
     SearchedFlight,
     StoredGrid,
@@ -137,7 +136,13 @@ class Searching:
         self.progress = progress
         problem = None
         if self._area is not None:
-            self._work(self._area, now_s)
+            area = self._area
+            if now_s - self._renewed_s < STATE_EVERY_S:
+                area.advance()
+            elif area.renew():
+                self._renewed_s = now_s
+                self._is_final = not self.is_counting and not area.has_work
+                self.state, self._outlook = area.state, None
         if self._began_s is None:
             self._origin = vehicle.frame
         if self._began_s is None or self._area is None:
@@ -157,15 +162,6 @@ class Searching:
             self._began_s = now_s
         self._count(now_s, passed_s, (*self._in_first_frame(position_enu_m, vehicle)[:2], height_m))
         return problem
-
-    def _work(self, area: SearchedArea, now_s: float) -> None:
-        """Do one piece of the work on the cells."""
-        if now_s - self._renewed_s < STATE_EVERY_S:
-            area.advance()
-        elif area.renew():
-            self._renewed_s = now_s
-            self._is_final = not self.is_counting and not area.has_work
-            self.state, self._outlook = area.state, None
 
     def _note_contact(self, vehicle: VehicleView) -> None:
         position_enu_m, height_m = vehicle.position_enu_m, vehicle.height_m
@@ -191,11 +187,6 @@ class Searching:
             self._track.append((round(now_s - self._began_s, 2), *_rounded(position_m)))
         if self._area is not None:
             self._area.listen(position_m, passed_s)
-
-    @property
-    def _reach_from(self) -> ReachSource:
-        detection = self.params.detection
-        return "preset" if detection is not None and detection.reach_m is None else "configured"
 
     def _in_first_frame(self, position_enu_m: PositionEnu, vehicle: VehicleView) -> PositionEnu:
         frame, first = vehicle.frame, self._origin
@@ -282,6 +273,8 @@ class Searching:
         if self._began_s is None or not self.is_worth_reporting:
             return None
         looks = [] if self._area is None else self._area.looks
+        detection = self.params.detection
+        is_preset = detection is not None and detection.reach_m is None
         return SearchedFlight(
             began_unix_s=zero_unix_s + self._began_s,
             ended_unix_s=zero_unix_s + self.ended_s,
@@ -293,7 +286,7 @@ class Searching:
             is_radio_heard=self.is_radio_heard,
             origin=self._origin,
             detection=self._detection,
-            reach_from=self._reach_from,
+            reach_from="preset" if is_preset else "configured",
             learnt=self._learnt,
             grid=self._stored_grid,
             looks=[(*_rounded(look.position_m), round(look.answers, 3)) for look in looks],

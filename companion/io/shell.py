@@ -140,7 +140,11 @@ class GatheringSelector(selectors.DefaultSelector):
         due_s = math.inf if timeout is None else time.monotonic() + timeout
         if timeout is not None and timeout > 0.0 and (stamped := self._stamped()):
             if self._others is None or self._others[0] != stamped:
-                self._others = stamped, self._wait_without(stamped)
+                others = select.poll()
+                for key in self.get_map().values():
+                    if key.fd not in stamped:
+                        others.register(key.fd, _POLLED[key.events])
+                self._others = stamped, others.poll
             self._others[1](1e3 * timeout)
             return super().select(0.0)
         ready = super().select(timeout)
@@ -148,14 +152,6 @@ class GatheringSelector(selectors.DefaultSelector):
         if ready and left_s > 0.0:
             time.sleep(min(GATHER_S, left_s))
         return ready
-
-    def _wait_without(self, stamped: Collection[int]) -> Callable[[float], object]:
-        """Return a wait for data of all descriptors but these."""
-        others = select.poll()
-        for key in self.get_map().values():
-            if key.fd not in stamped:
-                others.register(key.fd, _POLLED[key.events])
-        return others.poll
 
 
 @dataclass(slots=True)

@@ -236,20 +236,16 @@ class FenceDownload:
         self._read_id = reading.fence_id
         self._again_s = now_s + max(READ_AGAIN_S, (now_s - reading.begun_s) / MOST_SHARE)
         self._end(now_s)
-        return _fence_event(reading.items, reading.count, now_s)
+        try:
+            if reading.count > MAX_ITEMS:
+                raise ValueError(f"it has {reading.count} items, more than {MAX_ITEMS}")
+            return AutopilotFenceRead(now_s, fence_of_items(reading.items))
+        except ValueError as error:
+            return AutopilotFenceRead(now_s, problem=str(error), is_unusable=True)
 
     def _end(self, now_s: float) -> None:
         self._reading = None
         self._rest_until_s = now_s + self._rest_s
-
-
-def _fence_event(items: Sequence[Item], count: int, now_s: float) -> AutopilotFenceRead:
-    try:
-        if count > MAX_ITEMS:
-            raise ValueError(f"it has {count} items, more than {MAX_ITEMS}")
-        return AutopilotFenceRead(now_s, fence_of_items(items))
-    except ValueError as error:
-        return AutopilotFenceRead(now_s, problem=str(error), is_unusable=True)
 
 
 def fence_of_items(items: Sequence[Item]) -> GeoFence | None:
@@ -422,14 +418,11 @@ class Px4FailsafeCheck:
     def receive(self, message: Message) -> str | None:
         """Process a message of the autopilot; return the warning, once, if it applies."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
-            self._take_parameter(message)
+            if name_of(message) == PARAMETER:
+                self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
         elif isinstance(message, mavlink.MAVLink_sys_status_message):
             self._has_rc = hears_transmitter(message)
         if self._is_done or self._action is None or self._has_rc is None:
             return None
         self._is_done = True
         return WARNING if self._action == 0 and not self._has_rc else None
-
-    def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
-        if name_of(message) == PARAMETER:
-            self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]

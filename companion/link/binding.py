@@ -155,7 +155,14 @@ class AutopilotBinding:
         if uid is not None and self.hardware.differs(uid, now_s):
             self._take_other_hardware(uid, now_s)
         if exchange is not None:
-            self._take_exchange(exchange, now_s)
+            # clocks in answers show two vehicles, but not a replaced one
+            course = self._exchange
+            match course.take(exchange, now_s, is_cautious=not self.is_in_control):
+                case SignVerdict.TWO:
+                    problem = f"two vehicles send as {self._name}: {course.difference}"
+                    self._doubt(problem, now_s)
+                case SignVerdict.ANOTHER:
+                    course.adopt_other()
         if not isinstance(message, mavlink.MAVLink_heartbeat_message):
             return True
         self._compare_kind(message, now_s)
@@ -326,16 +333,6 @@ class AutopilotBinding:
                 difference = self._course.difference
                 self._doubt(f"{self._name} is another vehicle now: {difference}", now_s)
         return False
-
-    def _take_exchange(self, sign: Sign, now_s: float) -> None:
-        """Check clocks in answers for two vehicles; answers cannot show a replaced one."""
-        course = self._exchange
-        match course.take(sign, now_s, is_cautious=not self.is_in_control):
-            case SignVerdict.TWO:
-                problem = f"two vehicles send as {self._name}: {course.difference}"
-                self._doubt(problem, now_s)
-            case SignVerdict.ANOTHER:
-                course.adopt_other()
 
     def _take_elsewhere(
         self, message: Message, sign: Sign | None, peer: Address | None, now_s: float

@@ -219,7 +219,13 @@ class IdentityCourse:
             if not is_return:
                 return SignVerdict.GOES_ON
             return self._note_return(now_s, is_cautious=is_cautious)
-        self._follow_other(sign, now_s)
+        if self.other is None or not self.other.goes_on(sign, now_s):
+            self.other, self._run = Track.begin(sign, now_s), 0
+        else:
+            self.other.take(sign, now_s)
+        if self._run == 0:
+            self.other_since_s = now_s
+        self._run += 1
         if self._run >= CONFIRM_STAMPS and now_s - self.other_since_s >= CONFIRM_S:
             return self._judge_other(sign, is_of_clock, now_s)
         is_restart = late_s > LATE_S and self.is_young(sign, now_s)
@@ -282,15 +288,6 @@ class IdentityCourse:
         if self.main is None or self.other is None:
             return 0.0
         return abs(self.other.offset_s - self.main.offset_s)
-
-    def _follow_other(self, sign: Sign, now_s: float) -> None:
-        if self.other is None or not self.other.goes_on(sign, now_s):
-            self.other, self._run = Track.begin(sign, now_s), 0
-        else:
-            self.other.take(sign, now_s)
-        if self._run == 0:
-            self.other_since_s = now_s
-        self._run += 1
 
     def _note_return(self, now_s: float, *, is_cautious: bool) -> SignVerdict:
         """Count a return of frames from the other course to this one."""

@@ -307,7 +307,11 @@ class VehicleInbound:
         origin = origin_of(message, self._autopilot)
         if origin is None:
             return []
-        self._note_frame(origin, number, now_s)
+        # an origin that drifts does not move the frame
+        frame = self._frame or origin
+        if math.hypot(*frame.zero_of(origin)) > ORIGIN_STEP_M:
+            frame, self._frame_begun = origin, (number, now_s)
+        self._frame = frame
         if self._geodesy is None or self._geodesy.reported != origin:
             self._geodesy = GeodesyFit(origin)
         return self._origin_events(self._geodesy, now_s)
@@ -336,13 +340,6 @@ class VehicleInbound:
         else:
             return []
         return self._origin_events(geodesy, now_s) if is_new else []
-
-    def _note_frame(self, origin: LocalOrigin, number: int, now_s: float) -> None:
-        """Note when the frame moved; a drifting origin does not move it."""
-        frame = self._frame or origin
-        if math.hypot(*frame.zero_of(origin)) > ORIGIN_STEP_M:
-            frame, self._frame_begun = origin, (number, now_s)
-        self._frame = frame
 
     def _home_events(self, now_s: float) -> list[Event]:
         """Return home in the local frame; from latitude and longitude where the origin is known.

@@ -378,10 +378,11 @@ class FieldDecoder(LineDecoder):
             problem = ZERO_POWER
         if problem is not None:
             return self.refused(problem)
+        word = (texts.get("line_of_sight") or "").strip().lower()
         return self.understood(
             RadioReading(
                 emitter=emitter_name(texts.get("emitter") or ""),
-                line_of_sight=_as_truth(texts.get("line_of_sight")),
+                line_of_sight=True if word in _TRUE else False if word in _FALSE else None,
                 frame=frame,
                 **values,
             )
@@ -408,8 +409,3 @@ def _complain_of_values(values: Mapping[str, float]) -> str | None:
     if values.get("age_s", 0.0) < 0.0:
         return "age is negative"
     return None
-
-
-def _as_truth(text: str | None) -> bool | None:
-    word = (text or "").strip().lower()
-    return True if word in _TRUE else False if word in _FALSE else None

@@ -258,13 +258,6 @@ def frame(opcode: int, payload: bytes) -> bytes:
     return bytes([opcode, 127]) + length.to_bytes(8, "big") + payload
 
 
-def band_message(centre_hz: float) -> bytes:
-    """Return the picture of the band: centre in MHz, then frequencies and two envelopes."""
-    head = struct.pack("<3I3f2I", TYPE_BAND, 5, 4, centre_hz / 1e6, 40.2, 0.3, 0x80, BAND_BINS)
-    frequencies = np.linspace(-1.2, 1.2, BAND_BINS) + centre_hz / 1e6
-    return head + frequencies.astype("<f4").tobytes() + bytes(2 * BAND_BINS)
-
-
 def spectrum_of(theta_deg: float, confidence: float, rng: np.random.Generator) -> Spectrum:
     """Return linear power by degree, counter-clockwise; its peak stands out by the confidence."""
     away_deg = (np.arange(ANGLES) - theta_deg + 180.0) % 360.0 - 180.0
@@ -300,7 +293,9 @@ class KrakenSocket(Kraken):
         channels = b"".join(map(self._channel, self._spectra.items()))
         count = len(self._spectra)
         directions = struct.pack("<2I", TYPE_DIRECTIONS, count) + channels
-        band = frame(BINARY, band_message(CENTRE_HZ))
+        head = struct.pack("<3I3f2I", TYPE_BAND, 5, 4, CENTRE_HZ / 1e6, 40.2, 0.3, 0x80, BAND_BINS)
+        frequencies = np.linspace(-1.2, 1.2, BAND_BINS) + CENTRE_HZ / 1e6
+        band = frame(BINARY, head + frequencies.astype("<f4").tobytes() + bytes(2 * BAND_BINS))
         return band + (frame(BINARY, directions) if count else b"")
 
     def _channel(self, item: tuple[int, Spectrum]) -> bytes:

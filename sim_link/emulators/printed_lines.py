@@ -114,15 +114,6 @@ class Sx1280(RangeLines):
 TAGS = 8
 
 
-def mc_report(range_mm: int, tag: int, sequence: int, clock_ms: int) -> str:
-    """Return a tag's range to anchor 0, which prints it; anchors 1 to 3 are not there."""
-    rest = " ".join(["00000000"] * 3)
-    return (
-        f"mc 01 {range_mm:08x} {rest} {sequence & 0xFFFF:04x} {sequence & 0xFF:02x} "
-        f"{clock_ms & 0xFFFFFFFF:08x} a{tag}:0"
-    )
-
-
 class Trek1000(RangeLines):
     """Anchor 0 of a kit and its tags, whole millimetres; raw reports next to the corrected."""
 
@@ -134,7 +125,12 @@ class Trek1000(RangeLines):
     def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:
         """Return both reports of a tag."""
         range_mm = max(0, round(1e3 * range_m))
-        report = mc_report(range_mm, answer.emitter_id, self.next_number(), clock_ms)
+        sequence = self.next_number()
+        rest = " ".join(["00000000"] * 3)  # anchors 1 to 3 are not there
+        report = (
+            f"mc 01 {range_mm:08x} {rest} {sequence & 0xFFFF:04x} {sequence & 0xFF:02x} "
+            f"{clock_ms & 0xFFFFFFFF:08x} a{answer.emitter_id}:0"
+        )
         return [report.replace("mc", "mr", 1), report]
 
 

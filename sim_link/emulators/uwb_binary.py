@@ -60,14 +60,7 @@ def session_info(
     """Return SESSION_INFO_NTF of a round, in as many packets as it takes."""
     head = struct.pack("<IIBIBBB", sequence, session, 0, interval_ms, 1, 0, 0)
     payload = head + bytes(8) + bytes((len(records),)) + b"".join(records)
-    return uci_packets(payload)
-
-
-def uci_packets(payload: bytes) -> bytes:
-    """Return a notification of the session group.
-
-    All packets but the last announce a continuation.
-    """
+    # all packets but the last announce a continuation
     pieces = [payload[at : at + MOST_PAYLOAD] for at in range(0, len(payload), MOST_PAYLOAD)]
     packets = b""
     for number, piece in enumerate(pieces, 1):

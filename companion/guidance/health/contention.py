@@ -238,7 +238,13 @@ class StickWatch(Watch):
     def handle(self, event: events.Event) -> None:
         """Apply the stick positions, and the health of the RC input."""
         if isinstance(event, events.RcStatusReported):
-            self._note_rating(event)
+            was_lost, self._rated = self._is_lost, event
+            if self._is_lost:
+                self._latest = self._moved_s = self._seen_moved_s = None
+                self.is_idle = True
+            elif was_lost:  # it may rest elsewhere now
+                self._rest = None
+                self._rest_is_next = True
         if not isinstance(event, events.SticksReported) or self._is_lost:
             return
         self._latest = event
@@ -249,7 +255,8 @@ class StickWatch(Watch):
             self._rest = tuple(
                 throttle if n == THROTTLE else 0.0 for n in range(len(event.deflections))
             )
-        if not self._are_moved(event, self._rest):
+        pairs = zip(event.deflections, self._rest, strict=True)
+        if not any(abs(now) > MOVED and abs(now - before) > MOVED for now, before in pairs):
             self._moved_s = None
             return
         if self._moved_s is None:
@@ -275,25 +282,10 @@ class StickWatch(Watch):
     def _is_lost(self) -> bool:
         return self._rated is not None and not self._rated.is_healthy
 
-    def _note_rating(self, event: events.RcStatusReported) -> None:
-        """Drop the pulses of a lost transmitter; learn its rest position again when it is back."""
-        was_lost, self._rated = self._is_lost, event
-        if self._is_lost:
-            self._latest = self._moved_s = self._seen_moved_s = None
-            self.is_idle = True
-        elif was_lost:
-            self._rest = None
-            self._rest_is_next = True
-
     def _is_pilots(self, moved_s: float, now_s: float) -> bool:
         """Return True once a report after the move calls the RC input healthy, or none comes."""
         rated = self._rated
         return rated is None or rated.time_s > moved_s or now_s - moved_s > RATING_S
-
-    @staticmethod
-    def _are_moved(event: events.SticksReported, rest: tuple[float, ...]) -> bool:
-        pairs = zip(event.deflections, rest, strict=True)
-        return any(abs(now) > MOVED and abs(now - before) > MOVED for now, before in pairs)
 
 
 def _finding(verdict: Verdict) -> Finding:

@@ -83,9 +83,6 @@ class WaitingLink(Link):
         while not self._room.acquire(timeout=0.5):
             if self._stop.is_set():
                 return
-        self._call(data)
-
-    def _call(self, data: bytes) -> None:
         assert self._loop is not None
         with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._take, data)

@@ -16,7 +16,6 @@ import msgspec
 from companion.domain import FlightMode
 from companion.flight_setup import build_endpoint
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.scenario import Scenario
 from sim_link.lab.faults.fault_models import Schedule
 from sim_link.lab.faults.faulty_link import FaultyLink, Injector
 from sim_link.lab.lockstep import Flight, MakeCompanion, Makers
@@ -59,9 +58,11 @@ class _MissionFlight:
         emitters = results.true_positions(mission)
         self._reader = EventReader(self.record, emitters, mission.emitter.emitter_id)
         wire = FaultyLink(Schedule(), seed)
+        # PX4's 340 messages per second, most of them unused, take most of the time
+        autopilot = msgspec.structs.replace(mission.autopilot, streams="asked")
         flight = Flight(
             flown_config(mission),
-            _quiet(mission),
+            msgspec.structs.replace(mission.scenario, autopilot=autopilot),
             seed,
             self._reader,
             wire=wire,
@@ -123,15 +124,6 @@ class _MissionFlight:
         self.record.situation.companion.violations = len(self.record.violations)
         if self._slices % TRACK_SLICES == 0:
             self.record.track.append((now_s, vehicle.body.position_enu_m))
-
-
-def _quiet(mission: Mission) -> Scenario:
-    """Return the scenario on a link that carries only the companion's requested streams.
-
-    PX4's 340 messages per second, most of them unused, take most of the time.
-    """
-    autopilot = msgspec.structs.replace(mission.autopilot, streams="asked")
-    return msgspec.structs.replace(mission.scenario, autopilot=autopilot)
 
 
 class _Watcher(Observer):

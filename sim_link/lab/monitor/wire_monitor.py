@@ -91,13 +91,6 @@ TIMES = ("answer_s", "gap_s", "state_age_s", "latency_s")
 RATES = ("sent_frames_per_s", "sent_bytes_per_s", "records_per_s")
 
 
-def widen_rules(rules: Rules, slack_s: float) -> Rules:
-    """Return the rules, where every frame may be late by `slack_s`."""
-    late = {name: getattr(rules, name) + slack_s for name in TIMES}
-    more = {name: getattr(rules, name) * (1.0 + slack_s) for name in RATES}
-    return msgspec.structs.replace(rules, **late, **more)
-
-
 @dataclass(slots=True)
 class HeardScene(ObservedScene):
     """Scene in which the vehicle's own reports are the truth."""
@@ -161,7 +154,9 @@ class WireMonitor(FrameMonitor):
     """Watches a flight by its recording, in which a frame may be late by some slack."""
 
     def __init__(self, rules: Rules, slack_s: float) -> None:
-        self.scene = scene = HeardScene(widen_rules(rules, slack_s))
+        late = {name: getattr(rules, name) + slack_s for name in TIMES}
+        more = {name: getattr(rules, name) * (1.0 + slack_s) for name in RATES}
+        self.scene = scene = HeardScene(msgspec.structs.replace(rules, **late, **more))
         self._estimate: TargetEstimate | None = None
         self._is_offboard: bool | None = None
         self._stream = authority_invariants.KeepsStreaming(scene)
