@@ -18,6 +18,7 @@ Source: MAVLink developer guide, "MAVLink Id Assignment" (listen for two systems
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from companion.domain import Autopilot
@@ -83,6 +84,8 @@ class AutopilotBinding:
     _exchange: IdentityCourse = field(default_factory=IdentityCourse)
     hardware: HardwareId = field(default_factory=HardwareId)
     _doubted_s: float = 0.0
+    _kinds_s: dict[tuple[Autopilot, int], float] = field(default_factory=dict)
+    """Kinds that the bound ids had, and when they were last heard."""
     _expected: tuple[VehicleMark, Track] | None = None
     """The vehicle that an earlier process had, and its clock."""
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
@@ -288,15 +291,24 @@ class AutopilotBinding:
         return f"{self.bound.ids[0]}/{self.bound.ids[1]}"
 
     def _compare_kind(self, heartbeat: mavlink.MAVLink_heartbeat_message, now_s: float) -> None:
-        """Check HEARTBEAT.type and autopilot, which never change while a vehicle is in use."""
+        """Check HEARTBEAT.type and autopilot, which never change while a vehicle is in use.
+
+        Where one kind is heard again after another, two vehicles send.
+        """
         bound = self.bound
         assert bound is not None
         kind = (autopilot_of(heartbeat) or Autopilot.OTHER, heartbeat.type)
-        if kind == (bound.autopilot, bound.vehicle_type):
+        own, kinds_s = (bound.autopilot, bound.vehicle_type), self._kinds_s
+        before_s, kinds_s[kind] = kinds_s.get(kind, -math.inf), now_s
+        if kind == own:
             return
-        if self.is_committed:
+        is_return = now_s - min(before_s, kinds_s.get(own, -math.inf)) <= VANISHED_S
+        if is_return or self.is_committed:
             now = f"{kind[0].value} {class_of(heartbeat).value}"
             was = f"{bound.autopilot.value} {bound.vehicle_class.value}"
+            if is_return:
+                self._doubt(f"two vehicles send as {self._name}: {was} and {now}", now_s)
+                return
             change = now if now != was else f"type {kind[1]}, it was {bound.vehicle_type}"
             self._doubt(f"{self._name} is another vehicle now: {change}", now_s)
             return

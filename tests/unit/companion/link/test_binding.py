@@ -8,6 +8,7 @@ from companion.domain import Autopilot
 from companion.guidance.events import VehicleMark
 from companion.link.binding import LISTEN_S, SURE_SILENCE_S, AutopilotBinding
 from companion.link.candidates import VANISHED_S
+from companion.link.identity import DOUBT_S
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 from tests.unit.companion.link.wire import ARDUPILOT, NOBODY, PEER, PX4, STRANGER, heartbeat
@@ -396,3 +397,29 @@ class TestARestartInFlight:
         assert mark is not None
         assert (mark.system_id, mark.component_id, mark.uid) == (1, 1, None)
         assert mark.boot_s == pytest.approx(510.0, abs=0.01)
+
+
+@pytest.mark.parametrize("stays", [mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER])
+def test_two_kinds_under_one_id_are_two_vehicles_until_one_has_gone(stays: int) -> None:
+    """A rover as 1/1 beside our copter: each heartbeat bound the other one, and cleared doubt."""
+    kinds, heard = (mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_GROUND_ROVER), Heard()
+    binding = heard.hear((1, 1), seconds=5, autopilot=ARDUPILOT).binding
+
+    def hear(*kinds: int, seconds: int) -> None:
+        for _ in range(2 * seconds):
+            for kind in kinds:
+                binding.recognise(from_system(component(kind, ARDUPILOT)), PEER, heard.now_s)
+            heard.now_s += 0.5
+            binding.note_control(heard.now_s, is_in_control=False, is_armed=False)
+
+    hear(*kinds, seconds=2)
+    binds = binding.binds
+    for _ in range(20):
+        hear(*kinds, seconds=1)
+        assert binding.problem is not None
+        assert binding.problem.startswith("two vehicles send as 1/1: ArduPilot ")
+    assert binding.binds == binds
+    hear(stays, seconds=int(VANISHED_S + DOUBT_S) + 2)
+    assert binding.problem is None
+    assert binding.bound is not None
+    assert binding.bound.vehicle_type == stays
