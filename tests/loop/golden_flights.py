@@ -268,7 +268,7 @@ ARDUPILOT = Scenario(emitter=NEAR, autopilot=AutopilotParams(flavour="ardupilot"
 PLANS: dict[str, Plan] = {
     "px4": Plan(),
     "ardupilot": Plan(scenario=ARDUPILOT),
-    "untold": Plan(configured(estimation=EstimationConfig())),
+    "default_estimation": Plan(configured(estimation=EstimationConfig())),
     "global_setpoints": Plan(configured(vehicle=VehicleParams(setpoint="global_int"))),
     "fim": Plan(configured(planner=PlannerConfig(kind="fim"))),
     "swing": Plan(
