@@ -26,8 +26,8 @@ Find a radio emitter with a UAV: estimate it from ranging messages, fly crossing
 estimate, and report where it is and how wrong that may be.
 
 The vehicle is commanded only in offboard mode (PX4 OFFBOARD, ArduPilot GUIDED), which the
-operator gives by the mode switch and takes back at any time. After two seconds in another mode it
-is ready again; after a failsafe it says "grant needed": press GRANT on the live map, or send
+pilot selects by the mode switch and leaves at any time. After two seconds in another mode it
+is ready again; after a failsafe you read "grant needed": press GRANT on the live map, or send
 component 191 MAV_CMD_NAV_GUIDED_ENABLE (92) with parameter 1 = 1."""
 
 EPILOG = """\
@@ -55,9 +55,10 @@ examples:
   companion replay walk.csv --config configs/companion/wifi_rtt.yaml --json walk.json"""
 
 CALIBRATE = """\
-Find a radio's offset, scale, sign, mount, lag and noise from a recording of it about a known
-point: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the radio's
-`settings` and for `estimation.filter`. Exit code 1: something was refused, with the reason."""
+Find a radio's offset, scale, sign, mount, lag and noise from a recording around an emitter at a
+known position: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the
+radio's `settings` and for `estimation.filter`. Exit code 1: something was refused, with the
+reason."""
 
 
 class RaisingParser(argparse.ArgumentParser):
@@ -209,8 +210,9 @@ def _add_doctor(commands: Commands) -> None:
     doctor = commands.add_parser(
         "doctor",
         help="check autopilot, link, radios and computer before a flight",
-        description="Check autopilot, link, radios and computer as a flight needs them, and name "
-        "the remedy for what is wrong. Nothing is armed, switched or set. Exit code 1: do not fly.",
+        description="Check autopilot, link, radios and computer as a flight needs them, and "
+        "suggest a remedy for each problem. Nothing is armed, switched or set. "
+        "Exit code 1: do not fly.",
     )
     _option(doctor, "--connect", "URL", "link to the autopilot", dest="link", required=True)
     _radios(doctor, "radio as in flight; listened to, one after the other")
@@ -226,7 +228,7 @@ def _add_config(commands: Commands) -> None:
     config = commands.add_parser(
         "config",
         help="show every value of a configuration and its origin, or the schema",
-        description="The values of a configuration, and the schema of its files.",
+        description="Show the values of a configuration, or the schema of its files.",
     )
     parts = config.add_subparsers(dest="config_command", metavar="{show,schema}", required=True)
     show = parts.add_parser(
@@ -253,7 +255,7 @@ def _add_setup(commands: Commands) -> None:
         "setup",
         help="make this computer ready to fly: configuration, service, doctor, compiling",
         description="Ask what the vehicle has, or take it from the options; write configuration "
-        "and service, compile ahead, run the doctor, and say what to set in the autopilot. "
+        "and service, compile ahead, run the doctor, and list what to set in the autopilot. "
         "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
     setup.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="the autopilot")
@@ -270,7 +272,7 @@ def _add_setup(commands: Commands) -> None:
     text = "write a systemd unit into DIR as well, unless a package brought one"
     _file(setup, "--unit-directory", text, "DIR")
     _option(setup, "--user", "NAME", "user of the service (default: you)")
-    _switch(setup, "--no-doctor", "do not look at the autopilot now")
+    _switch(setup, "--no-doctor", "do not run the doctor now")
     _switch(setup, "--no-warm-up", "do not compile now")
     _switch(setup, "--remove", "undo the setup in --directory")
 
@@ -281,9 +283,9 @@ def _add_tiles(commands: Commands) -> None:
     parts = tiles.add_subparsers(dest="tiles_command", metavar="{fetch}", required=True)
     fetch = parts.add_parser(
         "fetch",
-        help="get the tiles about a position from a server that you name",
-        description="Get the tiles about a position from a server. You name it, so its terms of "
-        "use are yours to keep; many public servers forbid fetching ahead.",
+        help="get the tiles around a position from a server of your choice",
+        description="Get the tiles around a position from a server. You are "
+        "responsible for keeping its terms of use; many public servers forbid bulk downloads.",
     )
     fetch.add_argument("url", metavar="URL", help="server's address with {z}, {x} and {y}")
     _option(fetch, "--around", "LAT,LON", "centre, degrees", required=True)
@@ -295,7 +297,7 @@ def _add_tiles(commands: Commands) -> None:
 def _add_warm_up(commands: Commands) -> None:
     warm_up = commands.add_parser(
         "warm-up",
-        help="compile the kernels for later flights, where numba is installed",
+        help="compile the kernels for later flights, if numba is installed",
         description="Compile the kernels for the flights of every configuration, and keep them: "
         "half a minute or more, once. It needs numba, setuptools and a C compiler; without it "
         "kernels run as plain Python, which suffices in flight.",
@@ -307,10 +309,10 @@ def _add_replay(commands: Commands) -> None:
     replay = commands.add_parser(
         "replay",
         help="run a recorded flight or ranging walk again",
-        description="Run a recorded flight through the flying code once more and say whether it "
-        "is the same, or, with another configuration, how it differs. A CSV file is a recorded "
-        "ranging walk, and what `companion radio record` wrote is decoded again; both go through "
-        "the estimator, a filter per target.",
+        description="Run a recorded flight through the flight software again and check that the "
+        "result is identical, or, with another configuration, show how it differs. "
+        "A CSV file is a recorded ranging walk, and what `companion radio record` wrote is "
+        "decoded again; both go through the estimator, with one filter per target.",
     )
     replay.add_argument("file", metavar="FLIGHT|FILE.tlog|FILE.csv|RECORDING", type=Path)
     text = "speed of a flight, a multiple of real time (default: as fast as possible)"
@@ -319,10 +321,10 @@ def _add_replay(commands: Commands) -> None:
     text += "(default port 8080)"
     _option(replay, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
     _tiles(replay)
-    text = "of a walk, standard deviation of its positions per axis, metres (default: its column "
-    text += "own_sigma_m, or that of the .json beside it; 3 where nothing is stated)"
+    text = "for a walk: standard deviation of its positions per axis, metres (default: its column "
+    text += "own_sigma_m, or that of the .json beside it; 3 if not stated)"
     _option(replay, "--own-sigma", "M", text, type=number_in(0.0, 1e4))
-    _switch(replay, "--explain", "of a walk, print what widens each R95, term by term")
+    _switch(replay, "--explain", "for a walk: print the terms that widen each R95")
     _config(replay)
     _file(replay, "--json", "write the results as JSON")
 
@@ -334,8 +336,8 @@ def _add_report(commands: Commands) -> None:
         description="Make one self-contained HTML page of a flight's event log, and print where it "
         "is. Every flight gets one at its end.",
     )
-    _file(report, "flight", "its folder, or a file in it", "FLIGHT")
-    _file(report, "--output", "instead of report.html there")
+    _file(report, "flight", "folder of the flight, or a file in it", "FLIGHT")
+    _file(report, "--output", "file to write (default: report.html in the folder)")
     _tiles(report)
 
 
@@ -343,17 +345,17 @@ def _add_area(commands: Commands) -> None:
     area = commands.add_parser(
         "area",
         help="show what flights have searched, and combine it",
-        description="What a flight that heard nothing has searched: in a sentence, and of several "
-        "flights together.",
+        description="Show the area that flights without contact have searched: in a sentence, or "
+        "combined over several flights.",
     )
     parts = area.add_subparsers(dest="area_command", metavar="{show,merge}", required=True)
     text = "print what a flight has searched"
     show = parts.add_parser("show", help=text, description=f"{text.capitalize()}.")
-    _file(show, "flight", "its folder", "FLIGHT")
+    _file(show, "flight", "folder of the flight", "FLIGHT")
     _switch(show, "--json", "print the figures as JSON")
     text = "combine what flights have searched over the area of the first one"
     merge = parts.add_parser("merge", help=text, description=f"{text.capitalize()}.")
-    _file(merge, "flights", "their folders", "FLIGHT", nargs="+")
+    _file(merge, "flights", "folders of the flights", "FLIGHT", nargs="+")
     text = "folder for the files (default: searched)"
     _file(merge, "--out", text, "DIR", default=Path("searched"))
 
@@ -362,7 +364,7 @@ def _add_radio(commands: Commands) -> None:
     radio = commands.add_parser(
         "radio",
         help="list, watch, record and calibrate radios",
-        description="Radios with formats of their own: which there are, and what they report.",
+        description="List radios with formats of their own, and watch, record or calibrate them.",
     )
     parts = radio.add_subparsers(
         dest="radio_command", metavar="{list,identify,watch,record,calibrate}", required=True
@@ -371,7 +373,7 @@ def _add_radio(commands: Commands) -> None:
     identify = parts.add_parser(
         "identify",
         help="listen ten seconds, and print which radio it is and its command",
-        description="Listen at an address, a serial port at its usual speeds, and name the radio.",
+        description="Listen at an address (a serial port: at its usual speeds) and name the radio.",
     )
     identify.add_argument("url", metavar="@URL", help="address as in NAME@URL")
     _option(identify, "--seconds", "S", "duration in seconds", type=float, default=10.0)
@@ -384,9 +386,9 @@ def _add_radio(commands: Commands) -> None:
     _add_listening(watch, "duration in seconds (default: until Ctrl-C)")
     record = parts.add_parser(
         "record",
-        help="record what radios send, and the vehicle's poses meanwhile",
-        description="Keep the bytes of radios with their times and, where connected, the vehicle's "
-        "position and attitude. `companion replay FILE` runs it through the estimator.",
+        help="record what radios send, with the vehicle's poses",
+        description="Record the bytes of radios with their times and, if connected, the vehicle's "
+        "position and attitude. `companion replay FILE` runs the recording through the estimator.",
     )
     record.add_argument("file", metavar="FILE", type=Path)
     _radios(record)
@@ -395,8 +397,8 @@ def _add_radio(commands: Commands) -> None:
     _add_calibrate(
         parts.add_parser(
             "calibrate",
-            help="find offset, scale, sign, mount, lag and noise from a recording about a known "
-            "point",
+            help="find offset, scale, sign, mount, lag and noise from a recording around "
+            "an emitter at a known position",
             description=CALIBRATE,
         )
     )
@@ -413,13 +415,13 @@ def _add_calibrate(calibrate: Options) -> None:
     _file(calibrate, "file", text, nargs="?")
     text = "metres from the antenna to the emitter: find the radio's offset, and keep it"
     _option(calibrate, "--beside", "M", text, type=float)
-    text = "a ranging walk as of `companion replay`, with target_x_m and target_y_m"
+    text = "a ranging walk as for `companion replay`, with target_x_m and target_y_m"
     _file(calibrate, "--from-csv", text, dest="csv")
     text = "position of the emitter, degrees and metres above mean sea level (default: home's)"
     _option(calibrate, "--point", "LAT,LON[,AMSL]", text)
-    text = "the same in metres east, north and up of the autopilot's origin"
+    text = "the same in metres east, north and up from the autopilot's origin"
     _option(calibrate, "--point-enu", "E,N,U", text)
-    _option(calibrate, "--emitter", "ID", "its id, where there are several")
+    _option(calibrate, "--emitter", "ID", "id of the emitter, if there are several")
     text = f"test in FILE, {', '.join(TEST_NAMES)}, and its time, in seconds; repeatable"
     _option(calibrate, "--test", "NAME[@FROM-TO]", text, action="append", default=[], dest="tests")
     _radios(calibrate, "record this radio first, NAME[:KEY=VALUE,...]@URL; repeatable")

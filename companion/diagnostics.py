@@ -174,12 +174,12 @@ class ProcessDiagnostics:
         self._is_disk_silent = is_silent
         if is_silent:
             text = (
-                f"the disk has not answered for {SILENT_DISK_S:g} s: the flight continues, the log "
-                "waits"
+                f"the disk has not responded for {SILENT_DISK_S:g} s: "
+                "the flight continues, the log waits"
             )
             self._announce(Severity.WARNING, text, now_s)
         else:
-            self._announce(Severity.NOTICE, "the disk answers again", now_s)
+            self._announce(Severity.NOTICE, "the disk responds again", now_s)
 
     def _check_losses(self, now_s: float) -> None:
         dropped = self._journal.health.dropped
@@ -346,7 +346,7 @@ class Watchdog:
             status = self._endpoint.session.status(now_s)
             text = f"{status.phase.value}: {status.detail}" if status.detail else status.phase.value
             if missing is not None and missing != "the control tick":
-                text = f"does not answer: {missing}; {text}"
+                text = f"not responding: {missing}; {text}"
             if text != self._status:
                 self._status = text
                 self._supervisor.status(text)

@@ -37,7 +37,9 @@ from companion.web.settings import WebSettings, requested_settings
 def fly_vehicle(arguments: argparse.Namespace) -> int:
     """Fly the vehicle of the command line, and return the exit code."""
     if arguments.connect is None:
-        raise ConfigError("say where the autopilot is: --connect udp:127.0.0.1:14540, or try demo")
+        raise ConfigError(
+            "specify the link to the autopilot: --connect udp:127.0.0.1:14540, or try demo"
+        )
     config = _flight_config(arguments)
     settings = requested_settings(arguments)
     links = flight_links(arguments.connect, arguments.ranging, config.radios, arguments.gcs)

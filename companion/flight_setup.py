@@ -251,7 +251,7 @@ def write_facts(directory: Path, facts: FlightFacts) -> None:
 
 
 def facts_as_json(facts: FlightFacts) -> bytes:
-    """Return the content of `flight.json`; raise `ConfigError` for a path that is no text."""
+    """Return the content of `flight.json`; raise `ConfigError` for a path that is not text."""
     try:
         return msgspec.json.format(msgspec.json.encode(facts), indent=2) + b"\n"
     except UnicodeEncodeError as error:

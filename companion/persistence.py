@@ -168,11 +168,11 @@ class RestartKeeper:
         self._endpoint.handle_event(UncleanExitFound(self._clock.now_s(), vehicle))
         if checkpoint is None:
             log.warning(
-                "checkpoint: none is whole: starting a new mission, without engaging by itself"
+                "checkpoint: none is whole: starting a new mission, no automatic engagement"
             )
         elif age is None:
             log.warning(
-                "checkpoint: its age is unknown: starting a new mission, without engaging by itself"
+                "checkpoint: its age is unknown: starting a new mission, no automatic engagement"
             )
         else:
             self._pending, self._age_s = checkpoint, age * self._clock.speed
@@ -183,9 +183,7 @@ class RestartKeeper:
         then, memory = checkpoint.key, checkpoint.memory
         difference = self._difference(then)
         if difference is not None:
-            text = (
-                f"restarted, with {difference}: starting a new mission, without engaging by itself"
-            )
+            text = f"restarted with {difference}: starting a new mission, no automatic engagement"
             self._endpoint.handle_event(ProcessMessage(now_s, Severity.WARNING, text))
             if not self._is_of(then):
                 return

@@ -274,7 +274,7 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
         try:
             endpoint.apply_incident(msgspec.json.decode(line, type=Incident), now_s)
         except (msgspec.DecodeError, ValueError) as error:
-            print(f"sim-link: {line!r} is no incident: {error}", file=sys.stderr)
+            print(f"sim-link: {line!r} is not an incident: {error}", file=sys.stderr)
 
 
 def _link(text: str) -> tuple[Transport, LinkMode | None]:

@@ -273,7 +273,7 @@ def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
     if isinstance(value, float) and not math.isfinite(value):
         return [_Problem(path, "must be a finite number")]
     if isinstance(value, float) and 0.0 < abs(value) < SMALLEST:
-        return [_Problem(path, "is too near to zero to compute with; give 0 or a larger number")]
+        return [_Problem(path, "is too close to zero to compute with; give 0 or a larger number")]
     if not isinstance(value, dict | list) or id(value) in seen:
         return []
     seen.add(id(value))
@@ -346,7 +346,7 @@ def _on_unknown_key(kind: type, path: str, key: str) -> str:
     names = _names(_types_at(kind, path))
     plain = "".join(key.split())
     if plain in names:
-        return "unknown key: it contains a space that is none; type it again"
+        return "unknown key: it contains an unusual space character; retype it"
     if near := get_close_matches(plain.lower(), names, n=1):
         return f"unknown key; did you mean {near[0]}?"
     if "[" in path:
@@ -354,7 +354,7 @@ def _on_unknown_key(kind: type, path: str, key: str) -> str:
     owners = [
         owner for owner, types in _records(msgspec.inspect.type_info(kind)) if key in _names(types)
     ]
-    return f"unknown key; it belongs into {owners[0]}" if len(owners) == 1 else UNKNOWN
+    return f"unknown key; it belongs in {owners[0]}" if len(owners) == 1 else UNKNOWN
 
 
 def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:

@@ -121,7 +121,7 @@ class Tunables:
         """Restore one value; return why that is refused, empty if it is not."""
         index = next((n for n, tunable in enumerate(TUNABLES) if tunable.name == name), None)
         if index is None or TUNABLES[index].when is When.NEVER:
-            return " is no parameter that can be changed"
+            return " is not a parameter that can be changed"
         try:
             self.change(index, values[name])
         except ConfigError as error:

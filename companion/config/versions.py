@@ -79,14 +79,14 @@ def _merge_patterns(planner: dict[str, Any]) -> list[str]:
 
 _OF_RADIO = "set {} in the radio's `settings` instead"
 GONE: Mapping[str, Gone] = {
-    "emitters.most": Gone("delete it: 8, or as many as are listed", 8),
+    "emitters.most": Gone("delete it: the limit is 8, or the number of listed ids", 8),
     "mission.coast_drift_mps": Gone(default=1.0),
     "mission.coast_sigma_max_m": Gone(default=30.0),
     "estimation.adaptation": Gone(
         "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
     ),
     "planner.reactive_crossing": Gone(
-        "delete it: the planner flies in the studies only, latched_crossing in flight",
+        "delete it: that planner is for studies only; flights use latched_crossing",
         {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
     ),
     "estimation.initial_inflation": Gone(default=4.0),
@@ -156,7 +156,7 @@ def _drop(raw: dict[str, Any], name: str) -> list[str]:
         gone = GONE[path]
         if _pop(raw, path) != gone.default:
             advice = gone.advice or f"delete it: it is fixed at {gone.default}"
-            raise ConfigError(f"{name}: $.{path}: gone since schema 2; {advice}")
+            raise ConfigError(f"{name}: $.{path}: removed in schema 2; {advice}")
     return dropped
 
 

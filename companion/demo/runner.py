@@ -181,7 +181,7 @@ class DemoWatch(FlightView):
             self.worst_gap_s = max(self.worst_gap_s, now_s - self.time_s)
         self.time_s = now_s
         if self._clock.pace != self._pace:
-            text = f"this computer is too busy for {self._pace}: going on at {self._clock.pace}"
+            text = f"this computer is too busy for {self._pace}: continuing at {self._clock.pace}"
             self._pace = self._clock.pace
             endpoint.handle_event(ProcessMessage(now_s, Severity.NOTICE, text))
         reason = self._end_reason(endpoint, now_s)

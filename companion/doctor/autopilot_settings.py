@@ -147,7 +147,7 @@ def _px4_loss_timeout(settings: Settings) -> Iterator[CheckResult]:
     if timeout_s < LONGEST_GAP_S:
         yield fail(name, f"{timeout_s:g} s: a few lost packets end OFFBOARD", fix)
     elif timeout_s > PATIENT_S:
-        text = f"{timeout_s:g} s: PX4 flies on for so long after the companion is gone"
+        text = f"{timeout_s:g} s: PX4 keeps flying for that long after the companion is gone"
         yield warn(name, text, fix)
     else:
         yield ok(name, f"{timeout_s:g} s without setpoints end OFFBOARD")
@@ -183,7 +183,7 @@ def _px4_stick_speed(settings: Settings) -> Iterator[CheckResult]:
 def _px4_fence(settings: Settings) -> Iterator[CheckResult]:
     action = settings["GF_ACTION"]
     if action == 0:
-        text = "0: PX4's own geofence does nothing, the companion's is the only one"
+        text = "0: PX4's own geofence is off, the companion's is the only one"
         yield warn("GF_ACTION", text, "set GF_ACTION to 2 (Hold) or 3 (Return)")
     else:
         yield ok("GF_ACTION", f"{action:g}: PX4's own geofence acts")
@@ -213,7 +213,7 @@ def _ardupilot_station(name: str, settings: Settings) -> Iterator[CheckResult]:
         text = f"{settings.facts.system_id}: this companion would count as the ground station"
         yield fail(name, text, f"set {name} to your station's id, 255")
     if settings["FS_GCS_ENABLE"] == 0:
-        text = "0: a lost ground station does nothing"
+        text = "0: no reaction to a lost ground station"
         yield warn("FS_GCS_ENABLE", text, f"set FS_GCS_ENABLE to 1 (RTL) and {name} to yours")
     else:
         text = f"{settings['FS_GCS_ENABLE']:g}, after {settings['FS_GCS_TIMEOUT']:g} s"
@@ -222,7 +222,7 @@ def _ardupilot_station(name: str, settings: Settings) -> Iterator[CheckResult]:
 
 def _ardupilot_throttle(settings: Settings) -> Iterator[CheckResult]:
     if settings["FS_THR_ENABLE"] == 0 and settings.facts.has_rc is not False:
-        text = "0: a lost transmitter does nothing"
+        text = "0: no reaction to a lost transmitter"
         yield warn("FS_THR_ENABLE", text, "set FS_THR_ENABLE to 1 (RTL)")
 
 

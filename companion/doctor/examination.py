@@ -180,7 +180,7 @@ def _check_logs(folder: FolderFacts, config: CompanionConfig) -> CheckResult:
         text = f"{folder.path}: {folder.problem}"
         return fail("log.directory", text, "choose another folder in log.directory, or repair it")
     free_mb, took_s = folder.free_mb or 0.0, folder.synced_write_s or 0.0
-    text = f"{folder.path}: {free_mb:.0f} MB free, a megabyte takes {took_s:.2f} s"
+    text = f"{folder.path}: {free_mb:.0f} MB free, writing 1 MB takes {took_s:.2f} s"
     if free_mb < LEAST_FREE_MB:
         return fail("log.directory", text, "make room, or set log.keep_flights")
     if free_mb < config.log.max_mb:
@@ -267,7 +267,9 @@ def _no_autopilot(link: LinkFacts, config: CompanionConfig) -> CheckResult:
         return fail("autopilot", f"{text}, but system {heard}", fix)
     if link.unfit:
         heard = ", ".join(link.unfit)
-        return fail("autopilot", f"{text}, but {heard}", "these fly nothing: check the autopilot")
+        return fail(
+            "autopilot", f"{text}, but {heard}", "none of these is an autopilot: check its link"
+        )
     if link.bytes_received:
         fix = "check the protocol and the serial speed"
         return fail("autopilot", f"{text}; {link.bytes_received} bytes that are not MAVLink", fix)
@@ -280,7 +282,7 @@ def _check_identity(facts: AutopilotFacts) -> CheckResult:
     kind = f"{facts.autopilot.value} {facts.vehicle_class.value}"
     text = f"{kind}, {ids}, {state}, in {facts.mode}"
     if facts.autopilot is Autopilot.OTHER:
-        return fail("autopilot", text, "only PX4 and ArduPilot modes are understood")
+        return fail("autopilot", text, "only PX4 and ArduPilot modes are supported")
     refusal = vehicle_refusal(facts.vehicle_class, facts.autopilot)
     if refusal is not None:
         parameter = "FRAME_CLASS" if facts.autopilot is Autopilot.ARDUPILOT else "MAV_TYPE"
@@ -315,7 +317,7 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
             "link", text, "check the radio and the cable; above 30 % loss no flight is reliable"
         )
     if loss > NOTICED_LOSS or link.bad_frames > 0:
-        return warn("link", text, "look at antennas, cables, serial speed and rates")
+        return warn("link", text, "check antennas, cables, serial speed and rates")
     return ok("link", text)
 
 
@@ -329,7 +331,7 @@ def _missing_estimates(facts: AutopilotFacts) -> list[str]:
 
 
 def _check_rate(rate: StreamRate) -> CheckResult:
-    text = f"{rate.measured_hz:.1f} Hz, asked for {rate.asked_hz:g}"
+    text = f"{rate.measured_hz:.1f} Hz, requested {rate.asked_hz:g}"
     fix = "raise the link's rate (PX4: MAV_x_RATE, ArduPilot: SRx_*), or use a faster link"
     if rate.measured_hz < NEEDED_STREAMS.get(rate.name, 0.0) or rate.count == 0:
         is_needed = rate.name in NEEDED_STREAMS

@@ -356,7 +356,7 @@ def check_radios(radios: Sequence[RadioFacts]) -> Iterator[CheckResult]:
     for radio in radios:
         subject = f"radio {radio.name}"
         if radio.problem is not None or radio.status is None:
-            text = radio.problem or "not looked at"
+            text = radio.problem or "not checked"
             yield fail(subject, text, "correct its name, address or settings")
             continue
         yield _check_rate(subject, radio, radio.status)
@@ -385,14 +385,14 @@ def _check_rate(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckRe
     text = f"{status.rate_hz:.1f} Hz, {refused} refused{f': {reasons}' if reasons else ''}"
     text += f"; {status.unrecognised}" if status.unrecognised else ""
     if refused > MANY_REFUSED * (refused + status.measured):
-        return warn(subject, text, "look at its settings; companion radio watch shows it live")
+        return warn(subject, text, "check its settings; companion radio watch shows it live")
     return ok(subject, text)
 
 
 def _check_time(subject: str, radio: RadioFacts, status: RadioStatus) -> CheckResult:
     if not radio.has_clock:
-        return ok(subject, "no clock of its own: arrival less lag_s is the time of measurement")
-    text = f"its own clock, heard {1e3 * (status.age_s or 0.0):.0f} ms late"
+        return ok(subject, "no clock of its own: measurement time is arrival minus lag_s")
+    text = f"its own clock, received {1e3 * (status.age_s or 0.0):.0f} ms late"
     if status.restarts:
         return warn(subject, f"{text}; it restarted {status.restarts} times", "check its power")
     if (status.age_s or 0.0) > LATE_S:

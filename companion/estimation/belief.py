@@ -135,7 +135,7 @@ def _problem(stored: StoredHypothesis, size: int) -> str | None:
         return "a state of another size"
     values = (stored.log_weight, *stored.mean, *(v for row in stored.covariance for v in row))
     if not all(math.isfinite(value) for value in values):
-        return "a value that is no number"
+        return "a value that is not a number"
     if max(abs(stored.mean[0]), abs(stored.mean[1])) > MAX_COORDINATE_M:
         return "a position beyond the horizon"
     P = np.array(stored.covariance)

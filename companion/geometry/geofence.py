@@ -112,7 +112,7 @@ def corner_problem(latitude_deg: float, longitude_deg: float) -> str | None:
     if latitude_deg == 0.0 and longitude_deg == 0.0:
         return "0/0 means that the position is unknown"
     if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
-        return f"{latitude_deg:g}/{longitude_deg:g} is no latitude and longitude in degrees"
+        return f"{latitude_deg:g}/{longitude_deg:g} is not a latitude and longitude in degrees"
     if abs(latitude_deg) > MAX_LATITUDE_DEG:
         return f"latitude {latitude_deg:g} is too near to a pole (at most {MAX_LATITUDE_DEG:g})"
     return None

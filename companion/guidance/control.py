@@ -192,7 +192,7 @@ class ControlTick:
         is_ready = is_ready and not missing_inputs(vehicle, fencing, now_s)
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
-            guided = f"ready: switch to {context.vehicle.guided_name} to give control"
+            guided = f"ready: switch to {context.vehicle.guided_name} to hand over control"
             text = "ready: automatic takeoff begins" if context.is_launch_wanted else guided
             context.announce(severity, text, Topic.READINESS)
 
@@ -294,5 +294,5 @@ class ControlTick:
 def _resumed_text(before: Finding | None) -> str:
     """Return the text for a flight by the plan, after what was announced before."""
     if before is None:
-        return "flying the plan"
-    return f"flying the plan, after: {before.text}"
+        return "following the plan"
+    return f"following the plan again; cleared: {before.text}"

@@ -139,7 +139,7 @@ class Fencing:
             return "none"
         text = f"{len(fence.polygon_enu_m)} corners, {len(fence.keep_out_enu_m)} keep-outs"
         if fence.also_inside_enu_m:
-            text += f", inside {len(fence.also_inside_enu_m)} more"
+            text += f", further fences: {len(fence.also_inside_enu_m)}"
         return f"{text}, margin {fence.margin_m:.1f} m"
 
     @property
@@ -321,7 +321,7 @@ class Fencing:
             return envelope
         if least_m >= most_m:
             raise ValueError(
-                f"the autopilot's fence parameters leave no height: above {least_m:g} m and "
+                f"the autopilot's fence parameters leave no altitude: above {least_m:g} m and "
                 f"below {most_m:g} m; change them, or limits.altitude_min_m"
             )
         self._keep_to(f"heights from {least_m:g} to {most_m:g} m")
@@ -397,7 +397,7 @@ class Fencing:
         if away_m > MAX_STEP_M:
             raise ValueError(
                 f"the autopilot's origin is {away_m / 1000.0:.1f} km from where it was; restart "
-                "the companion to have the fence in local metres about the new one"
+                "the companion to place the fence in local metres at the new one"
             )
         return (east_m, north_m)
 

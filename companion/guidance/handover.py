@@ -139,7 +139,7 @@ class Handover:
             context.authority.demand_grant(GRANT_REASONS[Trigger.CONTENTION])
         text = f"control lost: autopilot went to {name}"
         if context.authority.grant_reason is None:
-            text += f"; ready again after {REGAIN_QUIET_S:g} s there"
+            text += f"; ready again after {REGAIN_QUIET_S:g} s in that mode"
         context.warn(text)
 
     def _flight_over(self, event: events.HeartbeatReceived) -> None:
@@ -291,7 +291,7 @@ class Handover:
         context.authority.forget_autopilot()
         context.enter(Trigger.RESTARTED, now_s)
         if not event.is_other:
-            context.warn("autopilot restarted: give the mode again to resume")
+            context.warn("autopilot restarted: reselect the mode to resume")
 
     def hold_if_unconfirmed(self, finding: Finding, now_s: float) -> Finding:
         """Return HOLD instead of a hand-back while the mode is unconfirmed: a pilot may fly."""

@@ -42,12 +42,12 @@ class Stage(Enum):
     """Stage of the launch."""
 
     READY = "waiting until the autopilot can be armed"
-    MODE = "asking for the mode to launch in"
+    MODE = "requesting the launch mode"
     ARM = "arming"
     TAKE_OFF = "taking off"
     CLIMB = "climbing"
     PRESTREAM = "streaming setpoints before offboard"
-    OFFBOARD = "asking for offboard"
+    OFFBOARD = "requesting offboard"
 
 
 REQUESTS: dict[Stage, tuple[RequestKind, Stage]] = {
@@ -215,7 +215,7 @@ class Launch:
             self.failure = "only PX4 and ArduPilot can be launched"
         elif heartbeat.is_armed:
             name = mode_text(heartbeat)
-            self.failure = f"the vehicle is already being flown, in {name}"
+            self.failure = f"the vehicle is already flying, in {name}"
         if self.failure is not None:
             return []
         self._needs_prestream = heartbeat.autopilot is not Autopilot.ARDUPILOT

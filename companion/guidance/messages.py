@@ -36,7 +36,7 @@ def radius_fields(estimate: TargetEstimate) -> dict[str, object]:
 
 
 def radii_of(estimate: TargetEstimate) -> str:
-    """Return both radii in words."""
+    """Return the text of both radii."""
     return radii_text(estimate.absolute_r95_m, estimate.r95_m)
 
 
@@ -289,15 +289,15 @@ class OffsetMessages:
         for bound_m in (low_m, high_m):
             is_held = abs(offset_m - bound_m) <= AT_BOUND_SHARE * (high_m - low_m)
             if bound_m and is_held and self._texts.is_due(bound_m, now_s):
-                text = f"range offset is at its bound, {bound_m:+.3g} m: calibrate the radio"
+                text = f"range offset at its limit, {bound_m:+.3g} m: calibrate the radio"
                 return [Announce(Severity.WARNING, text)]
         return []
 
 
 ANTENNA_TEXTS: dict[str, str] = {
-    "planar": "bearings are worthless from above: planar antenna? Set estimation.filter.antenna",
+    "planar": "bearings unusable from above: planar antenna? Set estimation.filter.antenna",
     "contradicted": "bearings inconsistent with the configured antenna: check kind and mount_deg",
-    "line": "bearings fit a line of antennas, no azimuth: set estimation.filter.antenna",
+    "line": "bearings fit a linear array, no azimuth: set estimation.filter.antenna",
 }
 
 

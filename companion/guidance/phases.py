@@ -65,7 +65,7 @@ class Phase(Enum):
 
 PHASE_WORDS = {
     Phase.WAITING: "waiting for the autopilot",
-    Phase.STANDBY: "ready: switch the mode to give control",
+    Phase.STANDBY: "ready: switch the mode to hand over control",
     Phase.LAUNCHING: "launching",
     Phase.NORMAL: "searching",
     Phase.DEGRADED: "searching slowly",
@@ -88,20 +88,20 @@ class Trigger(Enum):
     LAUNCH_FAILED = "automatic launch gave up"
     MODE_GIVEN = "offboard and armed"
     MODE_LOST = "the mode left offboard"
-    GRANTED = "the operator grants control again"
+    GRANTED = "the operator granted control again"
     DISARMED = "disarmed"
     LANDED = "landing, or on the ground after a flight"
-    INPUT_AGES = "something the plan stands on ages"
-    INPUT_LOST = "something the plan stands on is missing"
-    INPUT_BACK = "everything the plan stands on is there"
+    INPUT_AGES = "an input of the plan is ageing"
+    INPUT_LOST = "an input of the plan is missing"
+    INPUT_BACK = "all inputs of the plan are available"
     LOCALISED = "the target is reported, or the battery is low"
-    HAND_BACK = "what is wrong does not pass"
+    HAND_BACK = "a fault persists"
     CONTENTION = "another system commands"
     PILOT_TOOK = "the pilot moves the sticks"
-    MODE_LEFT = "another mode was chosen, and stays"
-    NOT_OURS = "the vehicle is not one to fly, or not the one that was given"
+    MODE_LEFT = "another mode was selected, and kept"
+    NOT_OURS = "the vehicle is unsupported, or not the one handed over"
     RESTARTED = "the autopilot restarted"
-    STOP = "asked to stop"
+    STOP = "stop requested"
     HANDED_BACK = "the hand-back is over"
     YIELD_RECALLED = "it had yielded before the process restarted"
     REPORT_RECALLED = "it had reported before the process restarted"

@@ -259,7 +259,7 @@ class Recollection:
         if memory.phase is None:
             return
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
-        context.announce(Severity.NOTICE, f"{was}: give the mode again to fly")
+        context.announce(Severity.NOTICE, f"{was}: reselect the mode to fly")
         if memory.phase in HAS_VEHICLE:
             context.authority.demand_another_mode()
         if memory.phase is Phase.YIELD:

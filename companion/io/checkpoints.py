@@ -150,9 +150,9 @@ def _plain(value: object) -> object:
 def _problem(checkpoint: Checkpoint) -> str | None:
     saved, key = checkpoint.saved, checkpoint.key
     if not (math.isfinite(saved.unix_s) and math.isfinite(saved.boot_s)):
-        return "a time that is no number"
+        return "a time that is not a number"
     if checkpoint.vehicle is not None and not math.isfinite(checkpoint.vehicle.boot_s):
-        return "a boot clock that is no number"
+        return "a boot clock that is not a number"
     if checkpoint.sequence < 0 or not 1 <= key.system_id <= 255:
         return "an impossible sequence or system id"
     return checkpoint.memory.problem

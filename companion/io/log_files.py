@@ -259,7 +259,9 @@ def parse_inputs(data: bytes, name: str, on_damage: OnDamage | None = None) -> I
     """
     beginning = data[:MAGIC_WITHIN]
     if FAMILY in beginning and FORMAT not in beginning and UNCHECKED not in beginning:
-        raise ConfigError(f"{name}: of another version; replay it with the companion that flew")
+        raise ConfigError(
+            f"{name}: of another version; replay it with the companion of that flight"
+        )
     reader = _RecordReader(data, is_checked=UNCHECKED not in beginning)
     offset, number, last_s = 0, 0, 0.0
     while offset < len(data):
@@ -375,7 +377,7 @@ def event_of(value: Input) -> events.Event:
             try:
                 return events.OperatorCommandReceived(now_s, events.OperatorCommand(data.decode()))
             except ValueError:
-                raise ConfigError(f"a command at {now_s} s is none: {data[:40]!r}") from None
+                raise ConfigError(f"a command at {now_s} s is not one: {data[:40]!r}") from None
         case InputKind.NOTE:
             name, _, text = data.decode(errors="replace").partition(" ")
             severity = Severity.__members__.get(name)
@@ -438,4 +440,4 @@ def damage_text(path: Path | str, unit: str, positions: Sequence[int]) -> str:
     if not positions:
         return ""
     more = "" if len(positions) == 1 else f" and at {len(positions) - 1} more places"
-    return f"{path}: damaged at {unit} {positions[0]}{more}; what is left is read"
+    return f"{path}: damaged at {unit} {positions[0]}{more}; the rest is read"

@@ -330,7 +330,7 @@ def read_mcap_flight(path: Path) -> McapFlight:
             reader = make_reader(file)
             kept = [m for m in reader.iter_metadata() if m.name == "flight"]
             if not kept:
-                raise ConfigError(f"{path}: is no flight of the companion's")
+                raise ConfigError(f"{path}: is not a flight of the companion's")
             flight = McapFlight(path, kept[0].metadata["flight.json"].encode())
             for _, channel, message in reader.iter_messages(log_time_order=False):
                 if channel.topic == FRAME_CHANNEL:

@@ -280,7 +280,7 @@ def _vertices(items: Sequence[Item], index: int, path: str) -> Sequence[Item]:
     is_whole = len(vertices) == first.param1
     kind = (first.command, first.param1)
     if not is_whole or any((v.command, v.param1) != kind for v in vertices):
-        raise ValueError(f"{path}: the polygon of {first.param1:g} vertices is torn")
+        raise ValueError(f"{path}: the polygon of {first.param1:g} vertices is incomplete")
     return vertices
 
 

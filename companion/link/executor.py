@@ -97,7 +97,7 @@ class SessionExecutor:
         text = f"autopilot heard: {autopilot.value}, {kind}, system {system_id}"
         self.journal.text(commands.Severity.INFO, text, now_s)
         if autopilot is Autopilot.OTHER:
-            text = "unknown autopilot: only PX4 and ArduPilot modes are understood"
+            text = "unknown autopilot: only PX4 and ArduPilot modes are supported"
             self.journal.text(commands.Severity.WARNING, text, now_s)
 
     def note_unread(

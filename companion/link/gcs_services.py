@@ -142,14 +142,14 @@ class ParameterServer:
             self._send_value(index, now_s)
         elif message.target_component != ALL_COMPONENTS:
             name = message.param_id if number == -1 else ""
-            self._refuse(message, name, number, DOES_NOT_EXIST, "there is no such one", now_s)
+            self._refuse(message, name, number, DOES_NOT_EXIST, "unknown", now_s)
 
     def _set(self, message: mavlink.MAVLink_param_set_message, now_s: float) -> None:
         name = message.param_id
         index = self._index.get(name)
         if index is None:
             if message.target_component != ALL_COMPONENTS:
-                self._refuse(message, name, -1, DOES_NOT_EXIST, "there is no such one", now_s)
+                self._refuse(message, name, -1, DOES_NOT_EXIST, "unknown", now_s)
             return
         refusal = self._change(index, message, now_s)
         self._send_value(index, now_s)
@@ -234,7 +234,7 @@ class CommandHandler:
         self._text_limit = RateLimit(REFUSALS_PER_S, REFUSAL_BURST)
 
     def receive(self, message: AddressedCommand, now_s: float, *, may_grant: bool) -> None:
-        """Answer a command to this very component; with `may_grant` its sender may give control."""
+        """Answer a command to this component; with `may_grant` its sender may grant control."""
         if (message.target_system, message.target_component) != self._outlet.own_ids:
             return
         if not self._limit.acquire(now_s):

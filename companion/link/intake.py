@@ -259,8 +259,8 @@ REPORT_PERIOD_S = CAUSE_PERIOD_S
 HINTS: Mapping[SignatureVerdict, str] = {
     SignatureVerdict.UNSIGNED: "does the autopilot sign, with this key?",
     SignatureVerdict.BAD_SIGNATURE: "is it the same key on both sides?",
-    SignatureVerdict.TOO_FAR_AHEAD: "its sender has the key; set the clocks, ours or its",
-    SignatureVerdict.TOO_OLD: "its sender has the key; set the clocks, ours or its",
+    SignatureVerdict.TOO_FAR_AHEAD: "the sender has the key; set its clock or ours",
+    SignatureVerdict.TOO_OLD: "the sender has the key; set its clock or ours",
 }
 ALARMS = frozenset(
     {

@@ -144,7 +144,7 @@ class EmitterNames:
         for name, number in settings.emitters.items():
             key = self._key(name)
             if key is None:
-                raise ValueError(f"emitters: `{name}` is no frequency in MHz")
+                raise ValueError(f"emitters: `{name}` is not a frequency in MHz")
             if key in self._ids:
                 raise ValueError(f"emitters: `{name}` is given twice")
             self._ids[key] = number

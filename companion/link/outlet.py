@@ -256,7 +256,7 @@ class Outlet:
         self.own_ids = (taken[0], component_id)
         self._heard_ids.add(taken)
         self.own_frames.forget_foreign()
-        text = f"component id {taken[1]} is in use: sending as {component_id}, send grants there"
+        text = f"component id {taken[1]} is in use: sending as {component_id}, send grants to it"
         self.announce(Announce(Severity.WARNING, text), now_s)
 
     def announce(self, text: Announce, now_s: float) -> None:

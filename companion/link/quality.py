@@ -245,9 +245,9 @@ class LinkAlarms:
                 self._others.add(other)
         if self._moves.take(binding.moves, now_s):
             address = "the line" if binding.peer is None else f"{binding.peer[0]}:{binding.peer[1]}"
-            texts.append(f"the autopilot is heard from another address now: {address}")
+            texts.append(f"autopilot now heard from another address: {address}")
         if count := self._senders.take(binding.unknown_senders, now_s):
-            texts.append(f"{count} frames with the autopilot's ids from elsewhere were ignored")
+            texts.append(f"{count} frames with the autopilot's ids from other senders were ignored")
         if count := self._floods.take(dropped, now_s):
             texts.append(f"flood: {count} datagrams or frames were dropped unread")
         return [Announce(Severity.WARNING, text) for text in texts]
@@ -282,7 +282,7 @@ class RadioStatus:
     restarts: int
     """Restarts of its clock."""
     lost: int
-    """Number of losses of its line."""
+    """Number of losses of its connection."""
     unrecognised: str = ""
     """Description of input that is not of its format."""
 
@@ -297,7 +297,7 @@ class RadioStatus:
         refused = sum(self.refused.values())
         if refused:
             most = max(self.refused, key=lambda reason: self.refused[reason])
-            parts.append(f"{refused} refused, most: {most}")
+            parts.append(f"{refused} refused, mainly: {most}")
         if self.unrecognised and not self.measured:
             parts.append(self.unrecognised)
         return ", ".join(parts)
@@ -401,7 +401,7 @@ class RadioWatch:
         if restarts == self._restarts:
             return []
         self._restarts = restarts
-        return [(Severity.NOTICE, "its clock restarted")]
+        return [(Severity.NOTICE, "clock restarted")]
 
     def _refusals(self, now_s: float) -> list[tuple[Severity, str]]:
         refused = self.stage.all_refused

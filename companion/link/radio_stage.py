@@ -308,7 +308,7 @@ class RadioStage:
         if said_rad is None:
             return None
         if not abs(said_rad) <= MAX_ANGLE_RAD:
-            self._refuse("bearing is no angle in radians")
+            self._refuse("bearing is not an angle in radians")
             return None
         if reading.frame is AngleFrame.NORTH:
             return bearing_enu_from_ned(said_rad)
@@ -328,7 +328,7 @@ class RadioStage:
         if said_rad is None:
             return None
         if not abs(said_rad) <= MAX_ANGLE_RAD:
-            self._refuse("elevation is no angle in radians")
+            self._refuse("elevation is not an angle in radians")
             return None
         return self.setup.settings.elevation_sign * said_rad
 

@@ -93,8 +93,8 @@ class SenderRate:
         system, component = sender
         return Announce(
             Severity.WARNING,
-            f"ranging of {system}/{component}: {count} left out, "
-            f"over {RATE_MAX_HZ:.0f} Hz an emitter; lower its rate",
+            f"ranging of {system}/{component}: {count} skipped, "
+            f"over {RATE_MAX_HZ:.0f} Hz per emitter; lower its rate",
         )
 
 

@@ -178,7 +178,7 @@ class LatchedCrossing:
             over_m = self._reach_m(request, sensor, ahead, sigmas_m)
         chosen = self._best_point(request, target, heading, over_m)
         if chosen is None:
-            return Plan(hold_position(request, "no way to any side of the estimate"), memory)
+            return Plan(hold_position(request, "no path to any side of the estimate"), memory)
         latch = new_latch(before, verdict, *chosen, vehicle, target, over_m, rule)
         return Plan(self._waypoint(request, latch), latch)
 

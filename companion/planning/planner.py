@@ -191,7 +191,7 @@ def route_to(request: PlanRequest, wanted: Waypoint) -> Waypoint:
         return _detour(wanted, start, "back into free space")
     way = finder.way(start, goal)
     if way is None:
-        return Waypoint(start, WaypointReason.HOLD, f"no way to: {wanted.detail}")
+        return Waypoint(start, WaypointReason.HOLD, f"no path to: {wanted.detail}")
     if len(way) == 1:
         return replace(wanted, position_enu_m=goal)
     corners = "1 corner" if len(way) == 2 else f"{len(way) - 1} corners"

@@ -115,7 +115,7 @@ class SearchPlanner:
             if waypoint.reason is not WaypointReason.HOLD:
                 return Plan(waypoint, memory)
             memory = self._at_next_leg(request, memory)
-        return Plan(hold_position(request, f"{self.pattern.name}: no way to any leg"), memory)
+        return Plan(hold_position(request, f"{self.pattern.name}: no path to any leg"), memory)
 
     def _advanced(self, request: PlanRequest, memory: SearchMemory) -> SearchMemory:
         """Return the memory with the progress of the vehicle."""
@@ -149,7 +149,7 @@ class SearchPlanner:
             leg_of = f"{leg_of}, sweep {memory.sweep + 1}"
         if memory.is_on_leg:
             return Waypoint(memory.leg.end_enu_m, WaypointReason.SEARCH, leg_of)
-        to = "back to where it was left on" if memory.is_left else "to"
+        to = "resuming on" if memory.is_left else "to"
         return Waypoint(_begin(memory), WaypointReason.SEARCH, f"{to} {leg_of}")
 
 

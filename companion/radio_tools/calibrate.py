@@ -55,13 +55,15 @@ def run(arguments: argparse.Namespace) -> int:
     windows = [_window(text) for text in arguments.tests]
     if arguments.csv is not None:
         if arguments.file is not None or arguments.radios:
-            raise ConfigError("--from-csv: has everything in it; leave FILE and --radio out")
+            raise ConfigError("--from-csv: contains everything; omit FILE and --radio")
         found = _of_csv(arguments.csv)
     else:
         if arguments.file is None:
             raise ConfigError("give a FILE of `companion radio record`, or --from-csv FILE")
         if (arguments.point is None) == (arguments.point_enu is None):
-            raise ConfigError("say where the emitter is: --point LAT,LON,AMSL or --point-enu E,N,U")
+            raise ConfigError(
+                "specify the emitter's position: --point LAT,LON,AMSL or --point-enu E,N,U"
+            )
         point = _numbers(arguments.point or arguments.point_enu, arguments.point is not None)
         if arguments.radios:
             _record(arguments)
@@ -141,7 +143,9 @@ def _of_csv(path: Path) -> _Found:
     if not found.poses:
         raise ConfigError(f"{path}: has no rows below its header")
     if len(truths) > len(numbers):
-        raise ConfigError(f"{path}: target_x_m, target_y_m move; calibration needs one that lies")
+        raise ConfigError(
+            f"{path}: target_x_m, target_y_m change; calibration needs a stationary target"
+        )
     found.began_s = min(pose.t_s for pose in found.poses)
     return found
 
@@ -225,7 +229,7 @@ def _chosen(found: _Found, emitter: str | None, windows: Sequence[RunWindow]) ->
 def _record(arguments: argparse.Namespace) -> None:
     """Make the recording that is then fitted, as `companion radio record` does."""
     if arguments.link is None:
-        raise ConfigError("--radio: needs --connect URL, the autopilot that knows where it is")
+        raise ConfigError("--radio: needs --connect URL, the autopilot that reports the position")
     config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
     vehicle = parse_flight_link(arguments.link, LinkRole.VEHICLE)
     if not arguments.is_insecure:

@@ -141,7 +141,7 @@ def calibrate(run: CalibrationRun) -> Calibration:
     has_pose = track.knows(times)
     lost = int(len(times) - has_pose.sum())
     if lost:
-        done.remarks.append(f"{lost} of {len(times)} answers came where no pose is near")
+        done.remarks.append(f"{lost} of {len(times)} answers have no pose close in time")
     is_blocked = _in_windows(times, run.windows, ("blocked",))
     is_fitted = has_pose & ~is_blocked
     others = [window.name for window in run.windows if window.name != "blocked"]
@@ -166,7 +166,7 @@ def calibrate(run: CalibrationRun) -> Calibration:
     _compare_reported(fitted, done)
     _check_vehicle_position(track, bearings, done)
     if not done.ranges and not done.bearings:
-        done.range_refusals.append("nothing was measured where the vehicle's position is known")
+        done.range_refusals.append("no measurement has a known vehicle position")
     elif not (done.has_ranges or done.has_bearings or done.refusals):
         done.range_refusals.append(
             f"{' and '.join(others)} needs {'bearings' if wants_bearings else 'ranges'}, "
@@ -229,7 +229,7 @@ def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Fig
 
 
 def _clocks(lag_s: float) -> str:
-    return f"clocks do not agree: a lag of {lag_s:+.2f} s, and {MOST_LAG_S:.0f} s are the most"
+    return f"clocks disagree: a lag of {lag_s:+.2f} s, above {MOST_LAG_S:.0f} s"
 
 
 def _fit_bearings(
@@ -239,7 +239,7 @@ def _fit_bearings(
     done.lag_s = range_lag
     if len(samples.times_s) < LEAST_VALUES:
         done.bearing_refusals.append(
-            f"only {len(samples.times_s)} bearings; {LEAST_VALUES} and more are needed"
+            f"only {len(samples.times_s)} bearings; at least {LEAST_VALUES} are needed"
         )
         return
     sense = find_sense(samples, track, is_by_north=done.is_by_north)
@@ -255,16 +255,16 @@ def _fit_bearings(
     is_turned = done.tests.has_turn or covered_rad(track, samples.times_s) > math.radians(270.0)
     if not done.is_by_north and not is_turned:
         done.bearing_refusals.append(
-            "no whole turn: the sign of the bearing is not sure; turn once about the vertical"
+            "no full turn: the sign of the bearing is uncertain; turn once about the vertical axis"
         )
     elif sense.resultant - sense.other_resultant < LEAST_LEAD and not done.is_by_north:
         done.bearing_refusals.append(
-            "clockwise and counter-clockwise fit alike"
-            + (": the antenna looks sideways; mount it ahead" if sense.is_folded else "")
+            "clockwise and counter-clockwise fit equally well"
+            + (": the antenna faces sideways; mount it facing ahead" if sense.is_folded else "")
         )
     elif done.is_by_north and sense.sign < 0:
         done.bearing_refusals.append(
-            "bearings by north turn the wrong way: counter-clockwise where they should be clockwise"
+            "bearings from north turn counter-clockwise and should turn clockwise"
         )
     has_circle = done.tests.has_circle and not done.is_by_north
     fit = fit_bearings(samples, track, sense, has_circle=has_circle)
@@ -317,7 +317,7 @@ def _fit_ranges(
     """Fit the ranges that are not blocked; `blocked` is a flag for each from the user."""
     if len(ranges.times_s) < LEAST_VALUES:
         done.range_refusals.append(
-            f"only {len(ranges.times_s)} ranges; {LEAST_VALUES} and more are needed"
+            f"only {len(ranges.times_s)} ranges; at least {LEAST_VALUES} are needed"
         )
         return
     lag_s, half_s = (0.0, 0.0) if done.lag_s is None else (done.lag_s.value, done.lag_s.half_width)
@@ -326,7 +326,8 @@ def _fit_ranges(
         used &= track.seen(ranges.times_s).speed_mps < LEAST_SPEED_MPS
         if used.sum() < max(LEAST_VALUES, 0.2 * len(used)):
             done.range_refusals.append(
-                "offset and lag look alike on this way: go back the same way, or stop at distances"
+                "offset and lag cannot be separated on this path: go back the same way, or stop "
+                "at each distance"
             )
             return
     ranges = _picked(ranges, used)
@@ -350,8 +351,8 @@ def _check_ranges(fit: RangeFit, done: Calibration) -> None:
     if len(fit.distances_m) < LEAST_DISTANCES:
         listed = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
         done.range_refusals.append(
-            f"only {len(fit.distances_m)} distances ({listed} m); {LEAST_DISTANCES} are the least, "
-            "5 10 20 50 100 m are good"
+            f"only {len(fit.distances_m)} distances ({listed} m); at least "
+            f"{LEAST_DISTANCES} are needed, such as 5 10 20 50 100 m"
         )
     elif not fit.is_scale_seen:
         done.remarks.append(
@@ -360,8 +361,7 @@ def _check_ranges(fit: RangeFit, done: Calibration) -> None:
         )
     if fit.is_split:
         done.range_refusals.append(
-            "ranges at one position are of two kinds, more than 2 m apart: two emitters or two "
-            "paths"
+            "ranges at one position form two groups, more than 2 m apart: two emitters or two paths"
         )
 
 
@@ -409,7 +409,7 @@ def _check_vehicle_position(track: PoseTrack, bearings: BearingSamples, done: Ca
         return
     if done.range_fit is not None and own > done.range_fit.sigma_m.value / 3.0:
         done.range_refusals.append(
-            f"the vehicle's position is good to {own:.2f} m, and has to be to a third of the sigma "
+            f"the vehicle's position is known to {own:.2f} m, which is above a third of the sigma "
             f"found, {done.range_fit.sigma_m.value:.2f} m: needs RTK"
         )
     if done.bearing_fit is not None:
@@ -417,7 +417,7 @@ def _check_vehicle_position(track: PoseTrack, bearings: BearingSamples, done: Ca
         sigma = done.bearing_fit.sigma_rad.value
         if own / distance > sigma / 3.0:
             done.bearing_refusals.append(
-                f"the vehicle's position is good to {own:.2f} m, which at {distance:.0f} m is more "
+                f"the vehicle's position is known to {own:.2f} m, at {distance:.0f} m more "
                 f"than a third of the sigma found, {math.degrees(sigma):.1f} deg: needs RTK, or "
                 "farther away"
             )

@@ -77,12 +77,12 @@ def _range_lines(fit: RangeFit, done: Calibration) -> list[str]:
         f"{fit.between_m:.2f})  longer than 3 sigma: {100.0 * fit.nlos_share.value:.0f} %"
     )
     if fit.nlos_excess_m is not None:
-        line += f", by {fit.nlos_excess_m.value:.1f} m in the mean"
+        line += f", by {fit.nlos_excess_m.value:.1f} m on average"
     lines.append(line)
     if done.blocked is not None and done.blocked.excess_m is not None:
         lines.append(
             f"blocked: {100.0 * done.blocked.share:.0f} % longer than 3 sigma, "
-            f"by {done.blocked.excess_m:.1f} m in the mean"
+            f"by {done.blocked.excess_m:.1f} m on average"
         )
     if done.range_ratio is not None:
         lines.append(_reported("range", done.range_ratio))
@@ -100,7 +100,7 @@ def _bearing_lines(fit: BearingFit, done: Calibration) -> list[str]:
         f"bearing sign {sense.sign:+d} (resultant {sense.resultant:.2f}, the other "
         f"{sense.other_resultant:.2f})  {fold}",
         f"{what} {mount.value:+.1f} deg (95 % {_interval(mount, 1)})  bearing sigma "
-        f"{sigma.value:.1f} deg  from anywhere: {100.0 * fit.gross_share:.0f} %  "
+        f"{sigma.value:.1f} deg  outliers: {100.0 * fit.gross_share:.0f} %  "
         f"field of view {math.degrees(fit.field_of_view_rad):.0f} deg",
     ]
     waves = []

@@ -259,7 +259,7 @@ def identify(
     if not heard:
         reason = problem or "check power, cable and port, and that an emitter is on"
         return 1, f"nothing heard at {url} in {seconds:g} s: {reason}"
-    return 1, f"{heard} bytes at {url}, of no radio that is known; docs/radios/any-radio.md"
+    return 1, f"{heard} bytes at {url}, from no known radio; see docs/radios/any-radio.md"
 
 
 def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
@@ -272,6 +272,6 @@ def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
     emitters = f"; emitters {names}" if names else ""
     head = f"{found.name}: {kind.title}{speed}, gives {kind.gives}{emitters}"
     if (isinstance(kind.poll, Poll) and bool(kind.poll.probe)) and not found.readings:
-        hint = "NAME is the address of the other one"
+        hint = "NAME is the address of the other radio"
         return f"{head}\ncompanion radio watch '{found.name}:tag=NAME@{at}'  # {hint}"
     return f"{head}\ncompanion radio watch '{found.name}@{at}'"

@@ -192,7 +192,7 @@ def record_radios(
     An existing file is a `ConfigError`: it may hold an hour of flight.
     """
     if path.exists():
-        raise ConfigError(f"{path}: is there already; delete it, or choose another name")
+        raise ConfigError(f"{path}: exists already; delete it, or choose another name")
     links = [*([] if vehicle is None else [vehicle]), *radio_links(config.radios)]
     radios = tuple(
         RecordedRadio(

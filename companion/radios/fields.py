@@ -212,7 +212,7 @@ def complain_of(names: list[str]) -> str | None:
         if name in POWERS:
             return f"`{name}`: {NAME_OF_POWER}"
         if name not in NAMES and name not in SKIPPED:
-            return f"`{name}` is no quantity with a unit; there are {', '.join(sorted(NAMES))}"
+            return f"`{name}` is not a quantity with a unit; there are {', '.join(sorted(NAMES))}"
     plain = [name.removesuffix(HEX) for name in names]
     targets = [NUMBERS[name].attribute if name in NUMBERS else name for name in plain]
     for name, target in zip(names, targets, strict=True):
@@ -369,7 +369,7 @@ class FieldDecoder(LineDecoder):
                 value = number(text)
             if value is None:
                 comma = ": a decimal point is needed" if "," in text else ""
-                return self.refused(f"{name} is no number{comma}")
+                return self.refused(f"{name} is not a number{comma}")
             if unit.attribute == "range_m" and is_overflow(value):
                 return self.refused(f"{name} is {value:.0f}: all bits set, no range")
             values[unit.attribute] = value * unit.factor

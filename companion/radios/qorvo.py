@@ -220,7 +220,7 @@ class PdoaJsDecoder(FieldDecoder):
             if is_overflow(twr.range_cm):
                 return self.refused("distance with all bits set: nothing measured")
             if not twr.range_cm.is_integer():
-                return self.refused("distance is no whole number of centimetres")
+                return self.refused("distance is not a whole number of centimetres")
             return self.understood(_reading_at(twr.name, twr.range_cm, twr.right_cm, twr.ahead_cm))
         return self.refused("torn frame")
 

@@ -96,7 +96,7 @@ class MakerfabsAtDecoder(SlotDecoder):
         lists = {name: columns(cells) for name, cells in self._LIST.findall(found[4])}
         ranges = [number(cell) for cell in lists.get("range", [])]
         if any(value is not None and not value.is_integer() for value in ranges):
-            return self.refused("range is no whole number of centimetres")
+            return self.refused("range is not a whole number of centimetres")
         powers = {slot: dbm(cell) for slot, cell in enumerate(lists.get("rssi", []))}
         names = [number(cell) for cell in lists.get("ancid", map(str, range(SLOTS)))]
         is_whole = len(ranges) in SLOTS_OF_FIRMWARE and len(names) >= len(ranges)
@@ -176,7 +176,7 @@ class UudfDecoder(FieldDecoder):
         if abs(azimuth_deg) > 90.0 or abs(elevation_deg) > 90.0:
             return self.refused("angle is out of bounds")
         if not (azimuth_deg.is_integer() and elevation_deg.is_integer()):
-            return self.refused("angle is no whole number of degrees")
+            return self.refused("angle is not a whole number of degrees")
         return self.understood(
             RadioReading(
                 emitter=cells[0].upper(),

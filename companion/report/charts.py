@@ -382,7 +382,9 @@ def histogram(
     if expected:
         drawing.line(expected, "limit")
     if ordered[0] < low or ordered[-1] > high:
-        note += f"; the outermost bars have all beyond them ({ordered[0]:.3g} to {ordered[-1]:.3g})"
+        note += (
+            f"; the outermost bars include all beyond them ({ordered[0]:.3g} to {ordered[-1]:.3g})"
+        )
     return Chart(title, note, Markup(drawing.svg()))
 
 

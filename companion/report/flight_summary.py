@@ -232,11 +232,13 @@ def read_searched(flight: Path) -> SearchedFlight:
     directory = flight if flight.is_dir() else flight.parent
     path = directory / RECORD
     if not path.exists():
-        raise ConfigError(f"{directory}: has no {RECORD}; it heard something at once, or is older")
+        raise ConfigError(
+            f"{directory}: has no {RECORD}; it had contact at once, or the flight is older"
+        )
     try:
         return msgspec.json.decode(read_file(path), type=SearchedFlight)
     except (msgspec.DecodeError, ValueError) as error:
-        raise ConfigError(f"{path}: not what a flight has searched: {error}") from error
+        raise ConfigError(f"{path}: not a record of a searched area: {error}") from error
 
 
 def state_again(flights: list[SearchedFlight], path: Path) -> SearchState | None:

@@ -80,10 +80,10 @@ LINK_WORDS = {
     "rate_hz": "measurements at the end, Hz",
     "silent_s": "silent at the end, s",
     "age_s": "delay of the last measurement, s",
-    "resync_bytes": "bytes that belonged to nothing",
-    "thinned": "measurements left out, beyond rate_max_hz",
+    "resync_bytes": "bytes not recognised",
+    "thinned": "measurements skipped, above rate_max_hz",
     "clock_restarts": "restarts of its clock",
-    "line_losses": "losses of its line",
+    "line_losses": "losses of its connection",
     "restarts": "restarts of the autopilot",
 }
 """Meaning of the counters in the event log; others keep their own names."""
@@ -188,7 +188,7 @@ def _map_note(layers: MapLayers) -> str:
     """Return the legend of the map."""
     signs = {
         "blue: the track": layers.track_enu_m,
-        "red: 95 % ellipses over time, the newer the stronger, and the last R95, dashed the "
+        "red: 95 % ellipses over time, newer ones stronger, and the last R95, dashed the "
         "absolute one": layers.estimates,
         "gold: waypoints": layers.waypoints_enu_m,
         "dashed green: the fence": layers.fence_enu_m,
@@ -309,7 +309,7 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
         over_time.draw("Range residuals", metres, TimeCurve(residuals, "residual", is_dotted=True)),
         histogram(
             "Residuals and fitted loss",
-            "how many over metres, in bars; line: how many the filter's loss expects in each",
+            "bars: number of residuals over metres; line: number that the filter's loss expects",
             [value for _, value in residuals],
             expected.cumulative,
         ),

@@ -190,7 +190,7 @@ def grid_of_site(
     """
     grid = _of_site(site, origin, cell_m)
     if fence_enu_m is not None and share_outside(grid, fence_enu_m) > 1.0 - 1e-9:
-        raise ValueError("the search area lies wholly outside the fence")
+        raise ValueError("the search area lies entirely outside the fence")
     return grid
 
 

@@ -310,7 +310,7 @@ def statement(flight: SearchedFlight, state: SearchState | None) -> str:
     """Return the sentences for the radio, one or two."""
     heard = _heard(flight)
     if not flight.is_radio_heard:
-        heard += " The radio sent nothing at all: check that it listened."
+        heard += " The radio sent nothing at all: check that it was receiving."
     if state is None:
         minutes = flight.listened_s / 60.0
         return f"{heard} {minutes:.0f} min listened; no probability: the radio's reach is unknown."

@@ -100,7 +100,7 @@ def notes_of(file: Path | None) -> list[str]:
     """Return remarks about keys of a file that an earlier schema had and that have no effect."""
     raw = {} if file is None else parse_value(read_text(file), str(file))
     dropped = renew(raw, str(file)) if isinstance(raw, dict) else []
-    return [f"# $.{path} is gone since schema 2: delete it" for path in dropped]
+    return [f"# $.{path} was removed in schema 2: delete it" for path in dropped]
 
 
 def json_schema() -> str:
@@ -293,10 +293,12 @@ def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
         except (OSError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
             raise CompanionError(
-                f"{address}: {reason}; what came before is kept, so run it again to continue"
+                f"{address}: {reason}; tiles so far are kept; run it again to continue"
             ) from error
         if len(picture) > MOST_BYTES:
-            raise CompanionError(f"{address}: more than {MOST_BYTES} bytes, which is no map tile")
+            raise CompanionError(
+                f"{address}: more than {MOST_BYTES} bytes, which is not a map tile"
+            )
         yield Tile(zoom, x, y, picture)
         time.sleep(PAUSE_S)
 
@@ -306,7 +308,7 @@ def _stored(tiles: Iterable[Tile], folder: Path) -> int:
     count = 0
     for tile in tiles:
         if not tile.picture.startswith(SIGNATURES):
-            raise CompanionError(f"tile {tile.zoom}/{tile.x}/{tile.y}: is no picture")
+            raise CompanionError(f"tile {tile.zoom}/{tile.x}/{tile.y}: is not an image")
         file = _file(folder, tile.zoom, tile.x, tile.y)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)

@@ -174,7 +174,7 @@ def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -
             *(port if baud is not None else []),
             ("COM_OF_LOSS_T", "1.0", "seconds without setpoints that end OFFBOARD"),
             ("COM_OBL_RC_ACT", "5", "then Hold; 0 sinks where there is no transmitter"),
-            ("GF_ACTION", "2", "PX4's own geofence holds, should all else fail"),
+            ("GF_ACTION", "2", "PX4's own geofence holds, as the last resort"),
             ("MPC_XY_VEL_MAX", f"{speed_mps:g}", "m/s, or more: limits.speed_mps"),
         ]
     port = [
@@ -185,7 +185,7 @@ def settings_to_make(autopilot: str, link: Transport, config: CompanionConfig) -
         *(port if baud is not None else []),
         ("FS_GCS_ENABLE", "1", "a lost ground station brings the vehicle home"),
         ("SYSID_MYGCS", "255", "the id of your ground station; from 4.7 on MAV_GCS_SYSID"),
-        ("FENCE_ENABLE", "1", "ArduPilot's own fence, should all else fail"),
+        ("FENCE_ENABLE", "1", "ArduPilot's own fence, as the last resort"),
         ("FENCE_ACTION", "4", "it brakes; 1 returns"),
         ("WPNAV_SPEED", f"{100.0 * speed_mps:g}", "cm/s, or more; from 4.7 on WP_SPD, in m/s"),
     ]
@@ -239,7 +239,7 @@ def run(arguments: argparse.Namespace, ask: Ask = input) -> int:
         links,
         has_key=config.link.signing_key_file is not None,
         unsigned_ranging=config.link.unsigned_ranging,
-        remedy="or begin with a --preset that has link.signing_key_file",
+        remedy="or start from a --preset that has link.signing_key_file",
     )
     link = links[0].transport
     files = {directory / name: content for name, content in contents.items()}
@@ -360,7 +360,7 @@ def _own_name() -> str:
     try:
         return getpass.getuser()
     except (KeyError, OSError):
-        raise ConfigError("setup: this user has no name; say who flies with --user") from None
+        raise ConfigError("setup: this user has no name; specify one with --user") from None
 
 
 def _usual_directory() -> Path:
@@ -375,7 +375,7 @@ def _usual_directory() -> Path:
 def _choices(arguments: argparse.Namespace, ask: Ask | None) -> Choices:
     """Return choices from flags, and from answers where flags are missing."""
     if ask is None and arguments.link is None:
-        raise ConfigError(f"setup: say where the autopilot is: --connect {USUAL_LINK}")
+        raise ConfigError(f"setup: specify the link to the autopilot: --connect {USUAL_LINK}")
     asked = _Questions(ask)
     autopilot = asked.one("Autopilot, px4 or ardupilot", arguments.kind, AUTOPILOTS[0], AUTOPILOTS)
     connect = asked.one("Link to the autopilot", arguments.link, USUAL_LINK)

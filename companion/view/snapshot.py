@@ -63,8 +63,8 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
             if endpoint.session.context.is_launch_wanted:
                 return "Stand clear: it is about to take off by itself."
             if not status.is_armed:
-                return f"Arm, take off, and switch to {guided} to give control."
-            return f"Switch to {guided} to give control. {TAKE_BACK}"
+                return f"Arm, take off, and switch to {guided} to hand over control."
+            return f"Switch to {guided} to hand over control. {TAKE_BACK}"
         case Phase.HOLD:
             return _while_holding(status)
         case Phase.YIELD:
@@ -74,7 +74,9 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
 
 def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
     if status.detail:  # the detail names the next step already
-        return "Switch to another mode, for example Hold or Loiter. Then it can be given control."
+        return (
+            "Switch to another mode, for example Hold or Loiter. Then control can be handed over."
+        )
     session = endpoint.session
     missing = missing_inputs(session.vehicle, session.fencing, status.time_s)
     if not missing:

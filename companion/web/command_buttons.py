@@ -25,8 +25,8 @@ BUTTONS = (
         "grant",
         "GRANT",
         "#1f4e79",
-        "Let the companion fly again, once you give it the mode? After a failsafe in OFFBOARD a "
-        "PX4 goes back to it at once, and the search goes on.",
+        "Let the companion fly again once you select the mode? After a failsafe in OFFBOARD "
+        "PX4 returns to it at once, and the search continues.",
     ),
 )
 ANSWER_S = 1.0

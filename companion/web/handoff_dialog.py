@@ -72,7 +72,7 @@ def _show(handoff: Handoff) -> None:
                     if form == "grid":
                         label.classes("grid-text")
                     copy_button(f"{form}-{handoff.emitter}")
-            ui.label(f"Search the whole circle, {radius_m:.1f} m about it.").classes("numbers")
+            ui.label(f"Search the whole circle, {radius_m:.1f} m around it.").classes("numbers")
             ui.label(handoff.time_utc).classes("muted numbers")
         code = segno.make(geo_uri(position_deg), error="m").svg_data_uri(scale=4, light="#ffffff")
         picture = ui.element("img").classes("qr")

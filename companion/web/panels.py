@@ -210,7 +210,7 @@ class AgeBars:
                     bar = ui.linear_progress(0.0, show_value=False, size="8px")
                     bar.props(f'id=age-{name} rounded aria-label="age of {name}"')
                     label = ui.label("-").classes("w-28 shrink-0 text-right whitespace-nowrap")
-                    label.tooltip(f"too old to be flown on from {old_after_s:g} s on")
+                    label.tooltip(f"not used for guidance from {old_after_s:g} s on")
                     self._bars[name] = (bar, label)
 
     def show(self, picture: Json) -> None:
@@ -223,7 +223,7 @@ class AgeBars:
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
             if is_over or (is_found and name == "ranging"):
                 colour = "grey"  # ranging has ended, so its age is no fault
-            bar.set_value(round(share, 2))  # 4e-14 is no number to a screen reader
+            bar.set_value(round(share, 2))  # 4e-14 is not a number to a screen reader
             bar.props(f"color={colour}")
             label.set_text("not heard" if age_s is None else f"{age_s:.1f} of {limit_s:g} s")
 

@@ -280,7 +280,7 @@ def build_app(
     @nicegui.app.exception_handler(404)
     def nothing(_request: Request, _error: Exception) -> PlainTextResponse:
         """Answer an unknown path."""
-        return PlainTextResponse("nothing is here", 404)  # NiceGUI would make a page for each
+        return PlainTextResponse("not found", 404)  # NiceGUI would make a page for each
 
     _add_searched(app, access, hub)
     if tiles is not None:

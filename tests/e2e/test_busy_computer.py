@@ -52,7 +52,7 @@ def test_a_demo_localises_although_its_processes_are_starved_in_turn(tmp_path: P
         lines: list[str] = []
         for line in demo.stderr:
             lines.append(line)
-            if "flying the plan" in line:
+            if "following the plan" in line:
                 break
         reader = threading.Thread(target=lambda: lines.extend(demo.stderr or ()))
         reader.start()

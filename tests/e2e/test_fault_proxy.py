@@ -48,7 +48,7 @@ def test_a_search_is_flown_and_ended_over_a_bad_link(commands: Commands) -> None
     addresses = ("--send-to", f"127.0.0.1:{middle}", "--listen", f"127.0.0.1:{free_port()}")
     scenario = ("--scenario", str(patient_scenario("px4", commands.directory)))
     commands.start("sim-link", "--speed", SPEED, *addresses, *scenario)
-    wait_for_text(companion, "flying the plan")
+    wait_for_text(companion, "following the plan")
     companion.send_signal(signal.SIGTERM)
     _, errors = companion.communicate(timeout=PATIENCE_S)
     assert companion.returncode == 0, errors

@@ -131,7 +131,7 @@ def test_termination_in_flight_hands_the_vehicle_back(commands: Commands) -> Non
     companion = commands.companion(port)
     wait_for_text(companion, "waiting for an autopilot")
     simulator = commands.simulator(port)
-    wait_for_text(companion, "flying the plan")
+    wait_for_text(companion, "following the plan")
     began = time.monotonic()
     companion.send_signal(signal.SIGTERM)
     companion.communicate(timeout=PATIENCE_S)

@@ -254,7 +254,7 @@ def test_a_recorded_flight_is_shown_with_all_emitters_and_stays_until_it_is_ende
         try:
             assert replay.stdout is not None
             url = f"http://127.0.0.1:{port}/"
-            until_up(url)  # which is no browser
+            until_up(url)  # which is not a browser
             time.sleep(2.0)
             watched = Watched(browser, url, DESK)
             banner = watched.page.locator("#replay")

@@ -131,13 +131,13 @@ def test_buttons_are_grey_with_the_reason_and_every_press_is_answered(
         assert_reasons(watched, {**not_yet, "grant": "not needed: not ready yet"})
         live.begun.set()
         expect(page.locator("#phase")).to_contain_text(FLYING)
-        assert_reasons(watched, {"resume": "not held by HOLD", "grant": "in control already"})
+        assert_reasons(watched, {"resume": "no HOLD is active", "grant": "already in control"})
         shot(watched, f"flying-{size['width']}")
         press(watched, "hold")
         pressed_s = time.monotonic()
         page.wait_for_selector("text=HOLD accepted")
         assert time.monotonic() - pressed_s < ANSWER_S + LOAD_S
-        assert_reasons(watched, {"hold": "done already", "grant": "in control already"})
+        assert_reasons(watched, {"hold": "already done", "grant": "already in control"})
         page.locator("#button-resume").click()  # ... and meanwhile the pilot takes over
         live.wishes.put(lambda: choose(live, FlightMode.HOLD))
         expect(page.locator("#phase")).to_contain_text("pilot or another system flies")

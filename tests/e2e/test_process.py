@@ -173,7 +173,7 @@ def test_a_killed_companion_is_taken_up_by_the_next_which_never_engages(
     folder: Path, port: int
 ) -> None:
     first = Companion(folder, port, "--config", "auto.yaml")
-    first.wait_for("flying the plan")
+    first.wait_for("following the plan")
     wait_until(lambda: has_kept_a_belief(folder), "no belief was kept")
     first.end(signal.SIGKILL)
     await_failsafe(port)

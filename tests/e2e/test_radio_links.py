@@ -167,7 +167,7 @@ def test_a_service_waits_for_a_port_that_is_plugged_in_later(
         os.close(port)
 
     drive(listener, at(str(name)), scene)
-    assert said[0].startswith(f"serial {name}: not there yet (")
+    assert said[0].startswith(f"serial {name}: not available yet (")
     assert said[1] == f"serial {name}: connected"
 
 
@@ -355,7 +355,7 @@ def test_a_program_that_prints_and_ends_at_once_is_lost_once_and_run_ever_more_r
     assert listener.ranges_m[:4] == [4.5] * 4
     assert [text.rpartition(": ")[2].partition(" (")[0] for text in said] == [
         "lost",
-        "is there again",
+        "available again",
     ]
 
 

@@ -304,7 +304,7 @@ def unplug_in_flight(
 ) -> None:
     """Assert that it holds as for ranging loss, goes on by itself, and announces each once."""
     rig.vehicle()
-    companion.wait_for("flying the plan")
+    companion.wait_for("following the plan")
     silences, returns = companion.count("silent for"), companion.count("heard again")
     losses = companion.count(": lost (")
     pull()

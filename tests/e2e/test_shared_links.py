@@ -169,7 +169,7 @@ def test_there_is_room_for_sixteen() -> None:
 def test_a_taken_port_is_a_link_error_that_says_what_to_do() -> None:
     with socket.create_server((HOST, 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(LinkError, match=f"tcp {HOST}:{port} is taken by another program"):
+        with pytest.raises(LinkError, match=f"tcp {HOST}:{port} is in use by another program"):
             Shell(Echo(), [TcpFanOut(HOST, port)], Clock()).run_blocking()
 
 

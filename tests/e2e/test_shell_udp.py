@@ -58,7 +58,7 @@ def test_a_taken_port_is_a_link_error_that_says_what_to_do() -> None:
         with pytest.raises(LinkError) as caught:
             Shell(EchoEndpoint(), [UdpBind("127.0.0.1", port)], Clock()).run_blocking()
     assert str(caught.value) == (
-        f"udp 127.0.0.1:{port} is taken by another program; close it or choose another port"
+        f"udp 127.0.0.1:{port} is in use by another program; close it or choose another port"
     )
 
 

@@ -136,7 +136,7 @@ def test_nothing_follows_the_first_frame_of_another_mode(
 
 
 def give_again(loop: Loop) -> None:
-    """The operator gives control by the switch; on a lossy link people try again."""
+    """The operator hands over control by the switch; on a lossy link people try again."""
     for _ in range(10):
         loop.choose(FlightMode.OFFBOARD)
         loop.run(3.0)

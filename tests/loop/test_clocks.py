@@ -33,7 +33,7 @@ def holds_s(loop: Loop) -> list[float]:
     for time_s, text in loop.notes.texts:
         if text == "hold: vehicle position is stale":
             begun_s = time_s
-        elif begun_s is not None and text.startswith(("flying the plan", "localised")):
+        elif begun_s is not None and text.startswith(("following the plan", "localised")):
             lengths_s.append(time_s - begun_s)
             begun_s = None
     return lengths_s if begun_s is None else [*lengths_s, loop.now_s - begun_s]
@@ -125,7 +125,9 @@ def test_an_autopilot_at_twice_real_time_is_named_and_flown_on_when_it_slows_dow
     assert loop.said(
         "autopilot's clock runs at 2 times real time: start the companion with --speed 2"
     )
-    resumed_s = [time_s for time_s, text in loop.notes.texts if text.startswith("flying the plan")]
+    resumed_s = [
+        time_s for time_s, text in loop.notes.texts if text.startswith("following the plan")
+    ]
     assert resumed_s[-1] <= 18.0 + 6.0 + 3.0
     assert len(loop.notes.results) == 1
     assert loop.error_m <= 1.5

@@ -139,7 +139,7 @@ def test_a_lost_page_of_the_inputs_is_told_and_the_rest_of_the_flight_goes_on(
     assert not replay.is_failed
     (line,) = [each for each in said if "flight.inputs" in each]
     assert "damaged at record " in line
-    assert "what is left is read" in line
+    assert "the rest is read" in line
     last_s = float(str(replay.replayed.estimates[-1]["t_s"]))
     assert last_s == float(str(replay.recorded.estimates[-1]["t_s"]))
     assert replay.replayed.whole is not None

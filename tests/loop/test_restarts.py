@@ -188,7 +188,7 @@ def test_another_fence_or_mission_is_no_place_for_an_old_estimate(config: Compan
     loop.flight.config = config
     kill_for(loop, 3.0)
     loop.run(5.0)
-    assert loop.said("starting a new mission, without engaging by itself")
+    assert loop.said("starting a new mission, no automatic engagement")
     assert not loop.said("estimate resumed")
 
 

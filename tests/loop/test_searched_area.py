@@ -147,7 +147,7 @@ def test_what_is_heard_at_once_was_no_search() -> None:
 @pytest.mark.parametrize(
     ("east_deg", "expected"),
     [
-        (0.01, "no searched area: the search area lies wholly outside the fence"),
+        (0.01, "no searched area: the search area lies entirely outside the fence"),
         (0.0, "50 % of the search area's probability is outside the fence"),
     ],
 )

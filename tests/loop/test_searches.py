@@ -104,7 +104,7 @@ def test_contact_that_is_lost_leads_back_to_the_search_and_may_come_again() -> N
     loop.run_until(lambda: loop.phase is Phase.HOLD, 6.0)
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 6.0)
     assert loop.said("no contact for 10 s: back to the search pattern")
-    assert "back to where it was left" in loop.companion.session.status(loop.now_s).detail
+    assert "resuming on" in loop.companion.session.status(loop.now_s).detail
     loop.run(30.0)
     assert not loop.notes.results
     assert math.dist(left, loop.sim.vehicle.body.position_enu_m[:2]) > 20.0

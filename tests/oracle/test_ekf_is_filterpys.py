@@ -47,7 +47,7 @@ def _gaps_m(case: Case, system: System, seed: RunSeed) -> list[float]:
     for draw, flown in zip(draws, run_trial(case, system, seed).record, strict=True):
         east_m, north_m = flown[:2].tolist()
         z[0], z[1], memory = cases.measured_in(draw, east_m, north_m, truth, scene, memory)
-        if math.isnan(mean[0]):  # the first fix is no update
+        if math.isnan(mean[0]):  # the first fix is not an update
             mean, covariance = first_fix(east_m, north_m, z[0], z[1], belief)
             theirs = mean
         else:

@@ -36,7 +36,7 @@ def holds_s(texts: Sequence[tuple[float, str]], ended_s: float) -> list[float]:
     for time_s, text in texts:
         if text == "hold: vehicle position is stale":
             begun_s = time_s
-        elif begun_s is not None and text.startswith(("flying the plan", "localised")):
+        elif begun_s is not None and text.startswith(("following the plan", "localised")):
             lengths_s.append(time_s - begun_s)
             begun_s = None
     return lengths_s if begun_s is None else [*lengths_s, ended_s - begun_s]

@@ -105,9 +105,9 @@ class MissionCase:
     schedule: Schedule
     is_signed: bool
     is_operated: bool
-    """True if an operator takes off and gives the mode, False if the companion launches."""
+    """True if an operator takes off and selects the mode, False if the companion launches."""
     regrant_s: float | None
-    """So long after the schedule began the operator gives control again; None: never."""
+    """Time from the start of the schedule to the next hand-over of control, s; None: never."""
 
     def __str__(self) -> str:
         flavour, wind = self.scenario.autopilot.flavour, self.scenario.wind
@@ -263,7 +263,7 @@ LOSSES = (0.0, 0.1, 0.3)
 BEFORE_S, OVER_S, AFTER_S = 14.0, 12.0, 4.0
 """Boot and take-off; the time in which the pilot acts; how long silence is watched."""
 AGAIN = 10
-"""Take-overs in one flight: the operator gives control back in between."""
+"""Take-overs in one flight: the operator hands control over again in between."""
 GIVE_BACK_S = 3.0
 
 

@@ -75,9 +75,9 @@ def trial_named(text: str) -> Trial:
         seed = int(words[1])
         size = float(words[2]) if len(words) > 2 else 1.0
     except (ValueError, IndexError):
-        raise ConfigError(f"{text!r} is no trial: PART:SEED or PART:SEED:SIZE") from None
+        raise ConfigError(f"{text!r} is not a trial: PART:SEED or PART:SEED:SIZE") from None
     if seed < 0 or not 0.0 < size < float("inf") or len(words) > 3:
-        raise ConfigError(f"{text!r} is no trial: PART:SEED or PART:SEED:SIZE")
+        raise ConfigError(f"{text!r} is not a trial: PART:SEED or PART:SEED:SIZE")
     return Trial(words[0], seed, size)
 
 

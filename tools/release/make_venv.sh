@@ -25,7 +25,7 @@ is_new_enough() {
 
 find_python() {
     if [ -n "${PYTHON:-}" ]; then
-        is_new_enough "$PYTHON" || fail "PYTHON=$PYTHON is no Python of at least 3.11"
+        is_new_enough "$PYTHON" || fail "PYTHON=$PYTHON is not a Python of at least 3.11"
         echo "$PYTHON"
         return
     fi
@@ -88,7 +88,7 @@ if is_usable; then
     fi
 else
     if [ -e "$venv" ] && [ ! -f "$venv/pyvenv.cfg" ]; then
-        fail "$venv is there but is no virtual environment; move it away"
+        fail "$venv is there but is not a virtual environment; move it away"
     fi
     python=$(find_python)
     echo "making $venv with $("$python" --version)"

@@ -79,7 +79,7 @@ def flights_of(
         scenario = load_scenario(folder / "scenarios" / "field" / f"{radio}.yaml")
         preset = load_config(folder / "companion" / "field" / f"{radio}.yaml")
         for kind in grid.configs:
-            # the planner is no property of the radio, so both kinds have the preset's
+            # the planner is not a property of the radio, so both kinds have the preset's
             unconfigured = change(CompanionConfig(), planner=preset.planner)
             base = preset if kind == "configured" else unconfigured
             for planner in grid.planners:

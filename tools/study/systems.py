@@ -248,7 +248,7 @@ def recursive_filter_of(case: Case, system: System) -> TargetFilter:
     """
     name = "asymmetric_huber" if system.filter == "map" else system.filter
     if name not in RECURSIVE:
-        raise ValueError(f"{name} is no recursive filter")
+        raise ValueError(f"{name} is not a recursive filter")
     return RECURSIVE[name](case.belief)
 
 
@@ -259,7 +259,7 @@ def estimator_of(case: Case, system: System, start_enu_m: Vector) -> Fuse:
     no class of its own (ValueError): it is `tracker` here.
     """
     if system.filter == "map":
-        raise ValueError("the window alone is no class: fly the tracker, which has one")
+        raise ValueError("the window alone is not a class: fly the tracker, which has one")
     if system.filter == "tracker":
         return fuse_by_tracker(TargetTracker(TrackerParams(filter=case.belief)))
     target_filter = recursive_filter_of(case, system)
@@ -285,5 +285,5 @@ def pilot_of(case: Case, system: System) -> Steer:
                 math.radians(case.belief.bearing_sigma_deg),
             )
         case _:
-            raise ValueError(f"{system.planner} is no planner that flies")
+            raise ValueError(f"{system.planner} is not a planner that flies")
     return steer_by_planner(planner, case.step_m)

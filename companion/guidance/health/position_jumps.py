@@ -297,7 +297,7 @@ class JumpWatch(Watch):
         context.flight_plan.forget()
         context.set_estimate(context.tracker.estimate(now_s))
         verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
-        finding = Finding(verdict, reason, f"{text}: waiting until it is steady")
+        finding = Finding(verdict, reason, f"{text}: holding until it is stable")
         if now_s - self._first_s > PATIENCE_S:
             finding = Finding(
                 Verdict.HAND_BACK, reason, "vehicle position or heading keeps jumping"

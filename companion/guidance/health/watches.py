@@ -173,7 +173,7 @@ NOT_IN_CONTROL = {
     Phase.STANDBY: "not in control yet",
     Phase.LAUNCHING: "taking off",
     Phase.FINISHED: "the search is over",
-    Phase.YIELD: "you fly",
+    Phase.YIELD: "you are flying",
     Phase.HANDBACK: "handing back",
     Phase.STOPPED: "ended",
 }
@@ -194,9 +194,9 @@ class OperatorCommandWatch(Watch):
         if self._context.authority.phase not in IN_CONTROL:
             return NOT_IN_CONTROL[self._context.authority.phase]
         if command is OperatorCommand.RESUME:
-            return None if self._finding is HELD else "not held by HOLD"
+            return None if self._finding is HELD else "no HOLD is active"
         is_asked = self._finding is (HELD if command is OperatorCommand.HOLD else RETURNS)
-        return "done already" if is_asked else None
+        return "already done" if is_asked else None
 
     def _objection_to_grant(self) -> str | None:
         context, phase = self._context, self._context.authority.phase
@@ -205,7 +205,7 @@ class OperatorCommandWatch(Watch):
         if context.vehicle.objection is not None:
             return context.vehicle.objection
         if phase in IN_CONTROL:
-            return "in control already"
+            return "already in control"
         if phase is Phase.STANDBY:
             return f"not needed: switch to {context.vehicle.guided_name}"
         if phase is Phase.WAITING and context.authority.may_begin:

@@ -296,7 +296,7 @@ class ReopeningLink(StreamLink):
                 handle, fd = await self._connect()
             except (OSError, ValueError, termios.error, LinkError) as error:
                 if self._pause_s == BACKOFF_MIN_S and self.counters.reconnects == 0:
-                    logger.warning("%s: not there yet (%s); retrying", self.name, error)
+                    logger.warning("%s: not available yet (%s); retrying", self.name, error)
                 await asyncio.sleep(self._next_pause_s())
             else:
                 self._connected_s = asyncio.get_running_loop().time()

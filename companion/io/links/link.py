@@ -107,7 +107,7 @@ class Link(ABC):
         if self._is_lost:
             self._is_lost = False
             self.counters.reconnects += 1
-            logger.log(NOTICE, "%s: is there again", self.name)
+            logger.log(NOTICE, "%s: available again", self.name)
 
 
 def bound_address(bound: socket.socket | None) -> Address:
@@ -123,11 +123,11 @@ def bind_problem(kind: str, host: str, port: int, error: OSError) -> str:
     where = f"{kind} {host}:{port}"
     if error.errno == errno.EADDRINUSE:
         hint = " (QGroundControl listens there too)" if port == 14550 else ""
-        return f"{where} is taken by another program{hint}; close it or choose another port"
+        return f"{where} is in use by another program{hint}; close it or choose another port"
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{where}: no interface of this machine has that address; use 0.0.0.0 or its own"
     if error.errno == errno.EACCES:
-        return f"{where} may not be opened by this user; choose a port above 1023"
+        return f"{where} cannot be opened without privileges; choose a port above 1023"
     return f"{where} cannot be opened ({error.strerror or error}); check host and port"
 
 

@@ -98,7 +98,7 @@ class TcpListener(Link):
             return
         objection = self._objection()
         if objection is not None:
-            logger.info("%s: %s turned away, %s", self.name, host, objection)
+            logger.info("%s: %s rejected, %s", self.name, host, objection)
             client.close()
             return
         client.setblocking(False)
@@ -344,7 +344,7 @@ class StdinLink(StreamLink):
             mode = os.fstat(0).st_mode
             if not (stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(0)):
                 raise LinkError(
-                    "stdin: is no pipe and no terminal; of a file give file:PATH?play=1"
+                    "stdin: neither a pipe nor a terminal; for a file use file:PATH?play=1"
                 )
             fd = os.dup(0)
             os.set_blocking(fd, False)
@@ -398,7 +398,7 @@ class PtyLink(StreamLink):
 
     def _problem(self, error: OSError) -> str:
         if isinstance(error, FileExistsError):
-            return "there is such a file already; delete it or choose another name"
+            return "the file exists already; delete it or choose another name"
         if not self._path.parent.is_dir():
             return f"there is no folder {self._path.parent}"
         return f"cannot be made ({error.strerror or error})"

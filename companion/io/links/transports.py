@@ -169,7 +169,7 @@ def parse_transport(text: str, default_baud: int = DEFAULT_BAUD) -> Transport:
         return _parse_serial(text, rest, default_baud)
     if scheme == "pty":
         if not rest.startswith("/"):
-            raise _wrong(text, scheme, "needs the full path of the port to make")
+            raise _wrong(text, scheme, "needs the full path of the port to create")
         return Pty(rest)
     return _parse_host_and_port(text, scheme, rest)
 
@@ -197,7 +197,7 @@ def _parse_host_and_port(text: str, scheme: str, rest: str) -> Transport:
             raise _wrong(text, scheme, "needs a host to send to")
         host = OWN_HOST
     if any(character.isspace() or character in "/@?#" for character in host):
-        raise _wrong(text, scheme, f"`{host}` is no host name")
+        raise _wrong(text, scheme, f"`{host}` is not a host name")
     port = _number(port_text)
     if port is None or not 1 <= port <= 65_535:
         raise _wrong(text, scheme, f"the port must be 1 to 65535, not `{port_text}`")
@@ -408,7 +408,7 @@ def _parts(url: str, what: str) -> urllib.parse.SplitResult:
     except ValueError:
         is_right = False
     if not is_right:
-        raise _wrong_radio(url, f"is no address of a {what}")
+        raise _wrong_radio(url, f"is not an address of a {what}")
     return parts
 
 
@@ -427,7 +427,7 @@ def _file(setup: RadioSetup, url: str, rest: str) -> tuple[str, Make, None]:
     name, _, query = rest.removeprefix("//").partition("?")
     path, (key, _, value) = Path(name), query.partition("=")
     if not name or key not in ("", "play"):
-        raise _wrong_radio(url, "is no file, for example file:log.txt, or file:log.txt?play=1")
+        raise _wrong_radio(url, "is not a file, for example file:log.txt, or file:log.txt?play=1")
     if not key:
         return url, lambda index, received: FileLink(path, index, received), None
     try:
@@ -435,7 +435,7 @@ def _file(setup: RadioSetup, url: str, rest: str) -> tuple[str, Make, None]:
     except ValueError:
         speed = 0.0
     if not 0.0 < speed <= 1000.0:
-        raise _wrong_radio(url, f"`{value}` is no speed, for example play=2")
+        raise _wrong_radio(url, f"`{value}` is not a speed, for example play=2")
     radio = setup.kind.name
     return (
         url,

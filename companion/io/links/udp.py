@@ -323,7 +323,7 @@ class UdpConnectLink(UdpLink):
         self.name = f"udpout {host}:{port}"
 
     def _problem(self, error: OSError) -> str:
-        return f"{self.name}: no way there ({error.strerror}); check host"
+        return f"{self.name}: no route ({error.strerror}); check host"
 
     def _attach(self, opened: socket.socket) -> None:
         opened.connect(self._address)

@@ -332,7 +332,7 @@ def _constant(node: ast.Constant) -> _Part:
         return _Part(Kind.NUMBER, lambda _: number, node)
     if isinstance(value, str):
         return _Part(Kind.WORD, lambda _: value, node, word=value)
-    raise _problem(node, "is no number, word, true or false")
+    raise _problem(node, "is not a number, word, true or false")
 
 
 def _named(node: ast.Name | ast.Attribute) -> _Part:
@@ -351,7 +351,7 @@ def _named(node: ast.Name | ast.Attribute) -> _Part:
 def _call(node: ast.Call) -> _Part:
     name = node.func.id if isinstance(node.func, ast.Name) else ""
     if node.keywords or len(node.args) != 1 or name not in ("abs", *SPEAKERS):
-        raise _problem(node, "is no function here: abs(), said() and autopilot_said() are")
+        raise _problem(node, "is not a function here: abs(), said() and autopilot_said() are")
     if name == "abs":
         return _Part(Kind.NUMBER, _lifted(abs, _number_of(node.args[0])), node)
     argument = node.args[0]

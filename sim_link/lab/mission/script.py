@@ -183,7 +183,7 @@ class TakeoffStep(StepParams, frozen=True):
 
 
 class EngageStep(StepParams, frozen=True):
-    """The operator gives control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
+    """The operator hands over control (PX4 OFFBOARD, ArduPilot GUIDED); over once it is taken."""
 
     limit_s: Limit = 10.0
 

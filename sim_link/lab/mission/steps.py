@@ -268,4 +268,4 @@ def _rule_of_params(step: Step, mission: Mission) -> StepRule:
                 FlightMode(step.mode),
                 parse_condition(shown),
             )
-    raise TypeError(f"{step} is no step")
+    raise TypeError(f"{step} is not a step")

@@ -46,9 +46,9 @@ class OnlyWithAuthority(Invariant):
     """No setpoint and no request of a mode without the operator's consent.
 
     Control that was lost is free again once HEARTBEATs without a failsafe have shown another mode
-    for `QUIET_S`: then setpoints may come that move nothing, and a person may give the mode. After
-    a failsafe, and after an end of control that the companion chose, only a grant frees it, or the
-    end of the flight.
+    for `QUIET_S`: then setpoints may come that move nothing, and a person may select the mode.
+    After a failsafe, and after an end of control that the companion chose, only a grant frees it,
+    or the end of the flight.
     """
 
     name = "I3"
@@ -152,7 +152,7 @@ class OnlyWithAuthority(Invariant):
         elif self._aside_s is None:
             self._aside_s = now_s
         elif not self._is_barred and now_s - self._aside_s >= QUIET_S - EPSILON_S:
-            self._was_ours = self._may_engage = False  # until a person gives the mode
+            self._was_ours = self._may_engage = False  # until a person selects the mode
             self._free()
 
     def setpoint(self, setpoint: SentSetpoint) -> None:

@@ -229,7 +229,7 @@ class KnownFrames(Invariant):
             for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
                 value = getattr(message, name)
                 if kind == "float" and not math.isfinite(value):
-                    self.report(f"a setpoint with a {name} that is no number")
+                    self.report(f"a setpoint with a {name} that is not a number")
                 elif kind == "float" and abs(value) > FARTHEST_M:
                     self.report(f"a setpoint with an absurd {name}", value=value)
         if isinstance(message, mavlink.MAVLink_command_long_message):
@@ -315,7 +315,7 @@ class HonestCovariance(Invariant):
         (a, b), (c, d) = estimate.covariance_m2
         values = (a, b, c, d, estimate.r95_m, *estimate.position_enu_m)
         if not all(map(math.isfinite, values)):
-            self.report("an estimate that is no number")
+            self.report("an estimate that is not a number")
             return
         if abs(b - c) > SYMMETRY * max(abs(b), abs(c), 1e-12):
             self.report("a covariance that is not symmetric", upper=b, lower=c)

@@ -244,8 +244,8 @@ class FailsafeRules(ParameterClient, SetpointClient):
     @book.rule("PX4 user guide, Offboard Mode, COM_OF_LOSS_T", flavours=PX4)
     def offboard_loss_time_is_the_parameter(self) -> None:
         """COM_OF_LOSS_T is the longest permitted gap between setpoints."""
-        require(self.read("COM_OF_LOSS_T").kind == mav.REAL32, "COM_OF_LOSS_T is no float")
-        require(self.read("COM_OBL_RC_ACT").kind == mav.INT32, "COM_OBL_RC_ACT is no integer")
+        require(self.read("COM_OF_LOSS_T").kind == mav.REAL32, "COM_OF_LOSS_T is not a float")
+        require(self.read("COM_OBL_RC_ACT").kind == mav.INT32, "COM_OBL_RC_ACT is not an integer")
         number = mav.custom_mode(self.flavour, "offboard")
         self.change("COM_OF_LOSS_T", 4.0)
         self.begin_streaming()()

@@ -333,7 +333,7 @@ def fenced(tmp_path: Path, *rings: list[list[float]]) -> Path:
 @pytest.mark.parametrize(
     ("ring", "problem"),
     [
-        ([[lon + 0.01, lat] for lon, lat in RING], "lies wholly outside the fence"),
+        ([[lon + 0.01, lat] for lon, lat in RING], "lies entirely outside the fence"),
         ([[lat, lon] for lon, lat in RING], "from the fence; latitude and longitude are swapped"),
         ([[lon, lat + 1.0] for lon, lat in RING], "a corner is 111 km from the fence"),
         ([[lon + 130.0, lat] for lon, lat in RING], "a corner is .* km from the fence"),

@@ -31,7 +31,7 @@ def test_the_former_defaults_of_the_printed_planner_are_read_and_its_choice_refu
     path.write_text(f"planner: {{reactive_crossing: {former}}}\n")
     assert load_config(path) == load_config(None)
     path.write_text("planner: {reactive_crossing: {step_m: 4.0}}\n")
-    with pytest.raises(ConfigError, match=r"latched_crossing in flight"):
+    with pytest.raises(ConfigError, match=r"flights use latched_crossing"):
         load_config(path)
     path.write_text("planner: {kind: reactive_crossing}\n")
     with pytest.raises(ConfigError, match=r"planner\.kind"):
@@ -44,7 +44,7 @@ def test_a_section_that_is_gone_says_what_to_do(tmp_path: Path) -> None:
     assert load_config(path) == load_config(None)
     path.write_text("estimation: {adaptation: {}}\n")
     with pytest.raises(
-        ConfigError, match=r"estimation\.adaptation: gone since schema 2; delete it"
+        ConfigError, match=r"estimation\.adaptation: removed in schema 2; delete it"
     ):
         load_config(path)
 
@@ -74,7 +74,7 @@ def test_the_defaults_of_the_first_candidate_are_those_of_now(
     path.write_text(yaml.safe_dump(RC1["companion/default"]))
     assert load_config(path) == CompanionConfig()
     assert main(["config", "show", "--changed", "--config", str(path)]) == 0
-    assert "# $.limits.step_m is gone since schema 2: delete it\n" in capsys.readouterr().out
+    assert "# $.limits.step_m was removed in schema 2: delete it\n" in capsys.readouterr().out
 
 
 MERGED = (
@@ -117,7 +117,7 @@ def test_a_key_that_is_gone_is_refused_with_another_value(path: str, gone: Gone)
         for section in reversed(sections):
             raw = {section: raw}
         if is_refused:
-            with pytest.raises(ConfigError, match=rf"^site: \$\.{re.escape(path)}: gone since"):
+            with pytest.raises(ConfigError, match=rf"^site: \$\.{re.escape(path)}: removed in"):
                 renew(raw, "site")
         else:
             assert renew(raw, "site") == [path]
@@ -137,7 +137,7 @@ def test_the_next_schema_migrates_files_of_this_one_by_its_own_step_alone(
     raw = {"schema_version": 2, "emitter_id": 7}
     assert renew(raw, "site") == []
     assert raw == {"schema_version": 3, "emitter_id": 7}
-    with pytest.raises(ConfigError, match="gone since schema 2"):
+    with pytest.raises(ConfigError, match="removed in schema 2"):
         renew({"limits": {"step_m": 1.0}}, "site")
 
 

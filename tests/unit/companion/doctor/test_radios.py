@@ -19,10 +19,10 @@ def said(facts: RadioFacts) -> dict[str, Level]:
     return {result.text: result.level for result in check_radios([facts])}
 
 
-def test_a_good_radio_is_told_with_rate_clock_and_calibration() -> None:
+def test_a_good_radio_is_shown_with_rate_clock_and_calibration() -> None:
     assert said(GOOD) == {
         "9.9 Hz, 0 refused": Level.OK,
-        "its own clock, heard 4 ms late": Level.OK,
+        "its own clock, received 4 ms late": Level.OK,
         "calibration is set": Level.OK,
     }
 

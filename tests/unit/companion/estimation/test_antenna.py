@@ -73,7 +73,7 @@ def _information(kind: AntennaKind, east_m: float) -> float:
 
 @pytest.mark.parametrize(("east_m", "share"), [(40.0, 1.0), (10.0, 0.98), (1.0, 0.5), (0.3, 0.08)])
 def test_right_from_above_a_planar_azimuth_says_little(east_m: float, share: float) -> None:
-    """Nearer than slant times sigma to the array's normal it is no angle any more."""
+    """Nearer than slant times sigma to the array's normal it is not an angle any more."""
     assert _information("planar", east_m) == pytest.approx(share, rel=0.15)
 
 

@@ -114,9 +114,9 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
         ((replace(GOOD, mean=(1.0, 2.0)),), "another size"),
         ((replace(GOOD, covariance=GOOD.covariance[:3]),), "another size"),
         ((with_row((1.0,)),), "another size"),
-        ((replace(GOOD, mean=(math.nan, 0.0, 0.0, 0.0)),), "no number"),
-        ((replace(GOOD, log_weight=math.inf),), "no number"),
-        ((with_row((math.inf, 0.0, 0.0, 0.0)),), "no number"),
+        ((replace(GOOD, mean=(math.nan, 0.0, 0.0, 0.0)),), "not a number"),
+        ((replace(GOOD, log_weight=math.inf),), "not a number"),
+        ((with_row((math.inf, 0.0, 0.0, 0.0)),), "not a number"),
         ((replace(GOOD, mean=(0.0, -2e5, 0.0, 0.0)),), "horizon"),
         ((with_row((1.0, 0.5, 0.0, 0.0)),), "symmetric"),
         ((with_row((1e11, 0.0, 0.0, 0.0)),), "variance"),
@@ -131,7 +131,7 @@ def with_row(row: tuple[float, ...]) -> StoredHypothesis:
             ),
             "not positive",
         ),
-        ((GOOD, replace(GOOD, mean=(math.nan, 0.0, 0.0, 0.0))), "no number"),
+        ((GOOD, replace(GOOD, mean=(math.nan, 0.0, 0.0, 0.0))), "not a number"),
     ],
 )
 def test_nothing_begins_from_an_impossible_belief(

@@ -265,7 +265,7 @@ class ScriptedFlight:
         return self
 
     def in_control(self) -> ScriptedFlight:
-        """Given offboard by the operator, and flying the plan."""
+        """Given offboard by the operator, and following the plan."""
         self.ready()
         self.show(FlightMode.OFFBOARD)
         self.fly(1.0)
@@ -288,7 +288,7 @@ class ScriptedFlight:
         return self
 
     def launched_by_itself(self) -> ScriptedFlight:
-        """Launched by the session itself (PX4), and flying the plan."""
+        """Launched by the session itself (PX4), and following the plan."""
         self.asking_for_offboard()
         self.answer(RequestKind.SET_MODE)
         self.show(FlightMode.OFFBOARD)

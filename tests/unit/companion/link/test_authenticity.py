@@ -124,7 +124,7 @@ def test_somebody_with_the_key_and_a_clock_far_ahead_is_an_alarm() -> None:
     made.say(heartbeat(), sender=codec(unix_s=UNIX_S + 61.0))
     made.wait(LOOK_PERIOD_S)
     assert any(
-        "too far ahead (its sender has the key; set the clocks" in t for t in made.journal.texts
+        "too far ahead (the sender has the key; set its clock" in t for t in made.journal.texts
     )
     assert made.endpoint.session.phase is Phase.HOLD
 

@@ -177,7 +177,7 @@ def test_a_grant_that_would_do_nothing_is_rejected_with_the_reason() -> None:
     wire = Wire().ready(OFFBOARD)
     said, ack = wire.say(command(GRANT, 1.0), sender=MavCodec(255, 190))
     assert isinstance(said, mavlink.MAVLink_statustext_message)
-    assert said.text == "GRANT refused: in control already"
+    assert said.text == "GRANT refused: already in control"
     assert isinstance(ack, Ack)
     assert ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 

@@ -277,15 +277,18 @@ class TestItems:
             ([item(0, param1=math.nan)], "item 1: a polygon of nan vertices"),
             ([item(0, param1=math.inf)], "item 1: a polygon of inf vertices"),
             ([item(0, param1=1e9)], "item 1: a polygon of 1e\\+09 vertices"),
-            ([item(0, param1=3.5)] * 4, "item 1: the polygon of 3.5 vertices is torn"),
-            (TRIANGLE[:2], "item 1: the polygon of 3 vertices is torn"),
-            ([*TRIANGLE[:2], item(2, OUT)], "item 1: the polygon of 3 vertices is torn"),
-            ([*TRIANGLE[:2], item(2, param1=4.0)], "item 1: the polygon of 3 vertices is torn"),
+            ([item(0, param1=3.5)] * 4, "item 1: the polygon of 3.5 vertices is incomplete"),
+            (TRIANGLE[:2], "item 1: the polygon of 3 vertices is incomplete"),
+            ([*TRIANGLE[:2], item(2, OUT)], "item 1: the polygon of 3 vertices is incomplete"),
+            (
+                [*TRIANGLE[:2], item(2, param1=4.0)],
+                "item 1: the polygon of 3 vertices is incomplete",
+            ),
             ([item(0, CIRCLE_IN, math.nan)], "item 1: a radius of nan m"),
             ([item(0, CIRCLE_OUT, 30.0)], "no inclusion area"),
             ([*TRIANGLE, item(3, CIRCLE_IN, 30.0)], "item 4: a second inclusion area"),
             ([item(0, CIRCLE_IN, 30.0, 0.0, 0.0)], "item 1: corner 1: 0/0"),
-            ([item(0, CIRCLE_IN, 30.0, 214.7, 0.0)], "item 1: corner 1: 214.7/0 is no latitude"),
+            ([item(0, CIRCLE_IN, 30.0, 214.7, 0.0)], "item 1: corner 1: 214.7/0 is not a latitude"),
         ],
     )
     def test_items_that_make_no_fence_are_refused_by_number(

@@ -132,7 +132,7 @@ def test_strangers_with_the_autopilots_ids_are_told_rarely() -> None:
         wire.say(heartbeat(), peer=STRANGER)
         wire.say(wire.position())
         wire.wait(0.05)
-    said = [text for text in wire.journal.texts if "from elsewhere were ignored" in text]
+    said = [text for text in wire.journal.texts if "from other senders were ignored" in text]
     assert len(said) == 1
     assert 1 <= int(said[0].split()[0]) <= 20 * LOOK_PERIOD_S
 
@@ -205,7 +205,7 @@ def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
     wire.wait(0.1)
     assert wire.endpoint.binding.peer == ("127.0.0.1", 40_001)
     wire.wait(LOOK_PERIOD_S)
-    assert any("another address now: 127.0.0.1:40001" in text for text in wire.journal.texts)
+    assert any("from another address: 127.0.0.1:40001" in text for text in wire.journal.texts)
 
 
 def test_with_a_key_the_address_is_followed_at_once() -> None:

@@ -79,4 +79,4 @@ def test_what_is_left_out_is_announced_once_in_thirty_seconds_with_its_sender() 
             texts += line.source.texts(tick / 1000.0)
     assert len(texts) == 2
     assert texts[0].text.startswith("ranging of 1/42: ")
-    assert texts[0].text.endswith(" left out, over 20 Hz an emitter; lower its rate")
+    assert texts[0].text.endswith(" skipped, over 20 Hz per emitter; lower its rate")

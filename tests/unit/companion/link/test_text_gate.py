@@ -52,7 +52,7 @@ def test_a_state_that_flaps_at_2_hz_is_announced_a_few_times_a_minute() -> None:
 
 @pytest.mark.parametrize("ends_with", [0, 1])
 def test_the_last_text_of_a_topic_is_the_present_state(ends_with: int) -> None:
-    states = (warning("hold: no ranging", Topic.PLAN), warning("flying the plan", Topic.PLAN))
+    states = (warning("hold: no ranging", Topic.PLAN), warning("following the plan", Topic.PLAN))
     said = flapping(*states, 10.0)
     said = said if ends_with else said[:-1]
     shown = passed(TextGate(BYTES_PER_S), said, 10.0 + CAUSE_PERIOD_S)
@@ -60,7 +60,7 @@ def test_the_last_text_of_a_topic_is_the_present_state(ends_with: int) -> None:
 
 
 def test_the_same_state_after_another_one_is_the_same_cause() -> None:
-    said = ["hold: no ranging", "flying the plan", "hold: stale", "flying the plan"]
+    said = ["hold: no ranging", "following the plan", "hold: stale", "following the plan"]
     timed = [(float(n), warning(text, Topic.PLAN)) for n, text in enumerate(said)]
     assert passed(TextGate(BYTES_PER_S), timed, 30.0) == said[:3]
     assert passed(TextGate(BYTES_PER_S), timed, 31.0) == said
@@ -78,7 +78,7 @@ def test_a_list_of_what_is_waited_for_is_one_cause_and_shown_as_it_is_at_last() 
 
 
 def test_a_text_that_must_pass_counts_for_the_ones_that_need_not() -> None:
-    plan = "flying the plan"
+    plan = "following the plan"
     said = [(0.0, warning(plan, Topic.PLAN, must_pass=True)), (5.0, warning(plan, Topic.PLAN))]
     assert passed(TextGate(BYTES_PER_S), said, 60.0) == [plan]
 

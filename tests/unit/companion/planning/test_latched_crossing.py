@@ -281,5 +281,5 @@ def test_where_there_is_no_way_to_any_side_it_holds() -> None:
     request = PlanRequest((-30.0, 0.0), target_at((40.0, 0.0)), SQUARE, 3.0, keep_out_enu_m=(moat,))
     plan = PLANNER.plan(request, None)
     assert plan.waypoint.reason is WaypointReason.HOLD
-    assert plan.waypoint.detail == "no way to any side of the estimate"
+    assert plan.waypoint.detail == "no path to any side of the estimate"
     assert plan.memory is None

@@ -108,7 +108,7 @@ def test_without_a_way_it_stays_and_says_so() -> None:
     request = _request((-30.0, 0.0), WALL)
     assert not is_reachable((30.0, 0.0), request)
     waypoint = _routed(request, (30.0, 0.0))
-    assert waypoint == Waypoint((-30.0, 0.0), WaypointReason.HOLD, "no way to: crossing 1")
+    assert waypoint == Waypoint((-30.0, 0.0), WaypointReason.HOLD, "no path to: crossing 1")
 
 
 def test_without_room_it_is_told() -> None:

@@ -83,7 +83,7 @@ def test_after_an_interruption_it_goes_on_where_it_was_left() -> None:
     assert flight.memory is not None
     flight.memory = flight.memory.interrupted()
     flight.position = (90.0, 10.0)  # farther along the very lane
-    flight.until("back to where it was left on lawnmower, leg 1 of 3")
+    flight.until("resuming on lawnmower, leg 1 of 3")
     flight.until("lawnmower, leg 1 of 3")
     assert flight.position[0] == pytest.approx(left[0], abs=3.0 * STEP_M)
     flight.until("to lawnmower, leg 2 of 3")
@@ -98,7 +98,7 @@ def test_blown_off_its_lane_it_comes_back_to_it() -> None:
     assert flight.details[-1] == "lawnmower, leg 1 of 3"
     flight.position = (70.0, 21.0)
     flight.step()
-    assert flight.details[-1] == "back to where it was left on lawnmower, leg 1 of 3"
+    assert flight.details[-1] == "resuming on lawnmower, leg 1 of 3"
     flight.until("lawnmower, leg 1 of 3")
     assert flight.position[0] == pytest.approx(60.0, abs=2.0 * STEP_M)
 
@@ -132,7 +132,7 @@ def test_where_no_leg_can_be_reached_it_holds() -> None:
     )
     plan = PLANNER.plan(PlanRequest((0.0, 90.0), keep_out_enu_m=cage, fence_margin_m=0.5), None)
     assert plan.waypoint.reason is WaypointReason.HOLD
-    assert plan.waypoint.detail == "lawnmower: no way to any leg"
+    assert plan.waypoint.detail == "lawnmower: no path to any leg"
 
 
 def test_without_an_area_and_a_fence_there_is_nothing_to_search() -> None:

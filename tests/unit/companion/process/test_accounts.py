@@ -60,8 +60,8 @@ def test_a_disk_that_does_not_answer_is_told_once_and_so_is_its_return() -> None
         rig.notes.health = replace(rig.notes.health, silent_s=silent_s)
         rig.pass_time(1.0)
     assert rig.texts == [
-        "the disk has not answered for 2 s: the flight continues, the log waits",
-        "the disk answers again",
+        "the disk has not responded for 2 s: the flight continues, the log waits",
+        "the disk responds again",
     ]
 
 

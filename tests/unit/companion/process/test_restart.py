@@ -118,7 +118,7 @@ def test_the_memory_of_the_same_mission_is_taken_up_when_the_vehicle_is_heard(
     keeper.run(0.0)
     assert not process.said("resumed")
     process.fly(keeper)
-    assert process.said("resumed after 10 s in waiting: give the mode again to fly")
+    assert process.said("resumed after 10 s in waiting: reselect the mode to fly")
 
 
 def test_the_sequence_goes_on_after_a_restart(process: Process) -> None:
@@ -143,9 +143,7 @@ def test_a_memory_of_something_else_is_told_and_not_taken_up(
 ) -> None:
     keeper = process.start(config)
     process.fly(keeper, **autopilot)
-    assert process.said(
-        f"restarted, with {reason}: starting a new mission, without engaging by itself"
-    )
+    assert process.said(f"restarted with {reason}: starting a new mission, no automatic engagement")
     assert not process.said("resumed")
     assert process.endpoint is not None
     assert process.endpoint.session.context.has_launched
@@ -178,7 +176,7 @@ def test_a_memory_of_unknown_age_is_not_taken_up_and_nothing_engages(
     process.moment = moment
     keeper = process.start(AUTO)
     assert keeper.is_restart
-    assert "its age is unknown: starting a new mission, without engaging by itself" in caplog.text
+    assert "its age is unknown: starting a new mission, no automatic engagement" in caplog.text
     process.fly(keeper)
     assert not process.said("resumed")
     assert process.endpoint is not None
@@ -197,7 +195,7 @@ def test_damaged_files_mean_a_cold_start_that_engages_nothing(
     process.store.slots = {number: data[:-1] for number, data in process.store.slots.items()}
     keeper = process.start(AUTO)
     assert keeper.is_restart
-    assert "none is whole: starting a new mission, without engaging by itself" in caplog.text
+    assert "none is whole: starting a new mission, no automatic engagement" in caplog.text
     assert process.endpoint is not None
     assert process.endpoint.session.context.has_launched
     process.fly(keeper)

@@ -26,13 +26,13 @@ def test_words_arrive_at_a_path(tmp_path: Path) -> None:
     with manager(path) as listening:
         supervisor = Supervisor({"NOTIFY_SOCKET": path})
         supervisor.say(READY)
-        supervisor.status("flying the plan\nR95 2.0 m " + "x" * 500)
+        supervisor.status("following the plan\nR95 2.0 m " + "x" * 500)
         supervisor.say(ALIVE)
         supervisor.say(STOPPING)
         heard = [listening.recv(4096).decode() for _ in range(4)]
         supervisor.close()
     assert heard[0] == "READY=1"
-    assert heard[1].startswith("STATUS=flying the plan R95 2.0 m x")
+    assert heard[1].startswith("STATUS=following the plan R95 2.0 m x")
     assert len(heard[1]) == len("STATUS=") + 200
     assert heard[2:] == ["WATCHDOG=1", "STOPPING=1"]
     assert supervisor.failed == 0

@@ -78,7 +78,7 @@ def test_a_writer_that_died_stops_the_feeding_and_is_named(rig: Rig) -> None:
     rig.notes.health = replace(rig.notes.health, is_alive=False)
     heard = rig.pass_time(5.0)
     assert "WATCHDOG=1" not in heard
-    assert "STATUS=does not answer: a writer of the log; waiting" in heard
+    assert "STATUS=not responding: a writer of the log; waiting" in heard
 
 
 def test_a_disk_that_hangs_is_no_reason_to_kill_a_flight(rig: Rig) -> None:
@@ -92,6 +92,6 @@ def test_a_closed_link_stops_the_feeding_until_it_is_open_again(rig: Rig) -> Non
     rig.link.is_listening = False
     heard = rig.pass_time(5.0)
     assert "WATCHDOG=1" not in heard
-    assert "STATUS=does not answer: link udp 127.0.0.1:14550; waiting" in heard
+    assert "STATUS=not responding: link udp 127.0.0.1:14550; waiting" in heard
     rig.link.is_listening = True
     assert rig.pass_time(5.0).count("WATCHDOG=1") >= 9

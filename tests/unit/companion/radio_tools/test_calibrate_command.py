@@ -184,7 +184,7 @@ def test_bearings_of_a_walk_are_counter_clockwise_from_east(
     ("words", "complaint"),
     [
         ([], "give a FILE"),
-        (["FILE"], "say where the emitter is"),
+        (["FILE"], "specify the emitter's position"),
         (["FILE", "--point-enu", "1,2"], "give E,N,U as numbers"),
         (["FILE", "--point", "95,8"], "no such latitude"),
         (["FILE", "--point-enu", "nan,0,0"], "give E,N,U as numbers"),
@@ -193,7 +193,7 @@ def test_bearings_of_a_walk_are_counter_clockwise_from_east(
         (["FILE", "--point-enu", "0,0,0", "--test", "turn@9-2"], "ends before it begins"),
         (["absent.radio", "--point-enu", "0,0,0"], "cannot be read"),
         (["FILE", "--point-enu", "0,0,0", "--radio", "ndjson@udp:14777"], "needs --connect"),
-        (["FILE", "--from-csv", "walk.csv"], "leave FILE and --radio out"),
+        (["FILE", "--from-csv", "walk.csv"], "omit FILE and --radio"),
         (["--from-csv", "absent.csv"], "cannot be read"),
     ],
 )

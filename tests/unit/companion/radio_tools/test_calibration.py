@@ -251,10 +251,10 @@ def test_reflections_are_not_taken_for_a_second_emitter() -> None:
 def test_a_lag_beyond_two_seconds_is_refused(lag_s: float) -> None:
     run = only_ranges(run_of(replace(QUIET, lag_s=0.0), out_and_back()))
     late = [replace(m, measured_at_s=m.measured_at_s + lag_s) for m in run.measurements]
-    refusal(replace(run, measurements=late), "clocks do not agree")
+    refusal(replace(run, measurements=late), "clocks disagree")
     run = only_bearings(run_of(replace(QUIET, lag_s=0.0), turns()))
     late = [replace(m, measured_at_s=m.measured_at_s + lag_s) for m in run.measurements]
-    refusal(replace(run, measurements=late), "clocks do not agree")
+    refusal(replace(run, measurements=late), "clocks disagree")
 
 
 def test_bearings_from_anywhere_are_refused() -> None:
@@ -276,7 +276,7 @@ def test_bearings_without_a_turn_are_refused() -> None:
 
 def test_a_folded_antenna_that_looks_sideways_is_refused() -> None:
     truth = replace(QUIET, is_folded=True, mount_rad=math.radians(88.0))
-    refusal(only_bearings(run_of(truth, turns())), "looks sideways")
+    refusal(only_bearings(run_of(truth, turns())), "faces sideways")
 
 
 def test_a_vehicle_that_does_not_know_its_place_is_refused() -> None:
@@ -295,7 +295,7 @@ def test_one_way_without_a_stop_does_not_tell_offset_from_lag() -> None:
     course.go(at(100.0), 3.0)
     run = only_ranges(run_of(QUIET, course))
     under_way = [m for m in run.measurements if 103.0 < m.measured_at_s < 128.0]
-    refusal(replace(run, measurements=under_way), "offset and lag look alike")
+    refusal(replace(run, measurements=under_way), "offset and lag cannot be separated")
 
 
 def test_too_few_answers_are_refused() -> None:
@@ -307,7 +307,7 @@ def test_too_few_answers_are_refused() -> None:
 def test_answers_without_any_pose_are_refused() -> None:
     run = run_of(QUIET, line())
     far = [replace(m, measured_at_s=m.measured_at_s + 1e4) for m in run.measurements]
-    refusal(replace(run, measurements=far), "position is known")
+    refusal(replace(run, measurements=far), "known vehicle position")
 
 
 def test_bearings_without_yaw_are_refused() -> None:
@@ -358,7 +358,7 @@ def test_bearings_by_north_have_an_offset_and_no_sign_to_set() -> None:
 def test_bearings_by_north_that_turn_the_other_way_are_refused() -> None:
     course, _ = all_tests()
     run = measured_by_north(run_of(replace(QUIET, lag_s=0.0), course), 0.3, sign=-1)
-    refusal(run, "wrong way")
+    refusal(run, "should turn clockwise")
 
 
 def test_where_one_place_has_most_of_the_variance_there_are_not_as_many_as_there_are() -> None:

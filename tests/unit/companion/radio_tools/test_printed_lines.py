@@ -181,7 +181,7 @@ def test_a_line_has_the_value_that_its_radio_measured(
             "d=3,25 m\n",
             "a decimal point is needed",
         ),
-        (r"lines:pattern='d=(?P<range_m>\S+)'@/dev/x", "d=nan\n", "is no number"),
+        (r"lines:pattern='d=(?P<range_m>\S+)'@/dev/x", "d=nan\n", "is not a number"),
         (
             "android_rtt@file:r.csv",
             "bssid;distance_m\naa:bb:cc:00:00:01;5,43\n",
@@ -197,7 +197,7 @@ def test_a_line_has_the_value_that_its_radio_measured(
         (
             "makerfabs_at@/dev/ttyUSB0",
             "AT+RANGE=tid:1,mask:02,seq:7,range:(0,2.45,0,0),rssi:(0,0,0,0)\n",
-            "no whole number of centimetres",
+            "not a whole number of centimetres",
         ),
         ("ndjson@stdin:", '{"range":12.5,"range_unit":"ft"}\n', "range is in metres"),
         ("ndjson@stdin:", '{"bearing":-0.785,"bearing_std":5}\n', "bearing is in radians"),

@@ -134,7 +134,7 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
         (IN_M, "d=1.2e1\n", "part of a longer number"),
         (r"lines:pattern='d=(?P<range_m>[-\w.]+)'@/dev/x", "d=-1\n", "range_min_m"),
         ("android_rtt@file:r.csv", "bssid,distance_mm\naa:bb:cc:00:00:01,\n", "without a distance"),
-        ("android_rtt@file:r.csv", "bssid,distance_mm\naa:bb:cc:00:00:01,NaN\n", "is no number"),
+        ("android_rtt@file:r.csv", "bssid,distance_mm\naa:bb:cc:00:00:01,NaN\n", "is not a number"),
         ("oai:numerology=1@file:g.log", f"{PREAMBLE}\n{ANSWER}\n", "log is of numerology 0"),
         (
             "qorvo_cli@/dev/x",
@@ -218,12 +218,12 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
         (
             "pdoa_js@/dev/x",
             'JS0045{"TWR": {"a16":"2E5C","R":3,"T":8605,"D":3.43,"P":1,"Xcm":1,"Ycm":3}}\n',
-            "no whole number of centimetres",
+            "not a whole number of centimetres",
         ),
         (
             "uudf@/dev/x",
             '+UUDF:CCF9578E0D8A,-42,0.35,0.10,-43,37,"CCF9578E0D89","",15869,23\n',
-            "no whole number of degrees",
+            "not a whole number of degrees",
         ),
         (
             "makerfabs_at@/dev/x",

@@ -225,4 +225,4 @@ def test_a_recording_is_never_written_over(
     path.write_text("precious")
     assert main(words) == 2
     assert path.read_text() == "precious"
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err

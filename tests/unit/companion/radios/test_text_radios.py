@@ -239,7 +239,7 @@ def test_the_groups_of_an_expression_say_quantity_and_unit() -> None:
     [
         ("", "pattern: an expression, such as"),
         (r"(?P<range_m>[\d.]+", "pattern: missing \\), unterminated subpattern"),
-        (r"(?P<distance>[\d.]+)", "`distance` is no quantity with a unit"),
+        (r"(?P<distance>[\d.]+)", "`distance` is not a quantity with a unit"),
         (r"(?P<emitter>\w+)", "neither a range, an angle nor a power"),
     ],
 )
@@ -251,10 +251,10 @@ def test_a_bad_expression_is_a_configuration_error(pattern: str, words: str) -> 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("r=inf", "range_m is no number"),
-        ("r=1_0", "range_m is no number"),
-        ("r=1.0e999", "range_m is no number"),
-        ("r=٣", "range_m is no number"),
+        ("r=inf", "range_m is not a number"),
+        ("r=1_0", "range_m is not a number"),
+        ("r=1.0e999", "range_m is not a number"),
+        ("r=٣", "range_m is not a number"),
         ("r=4 a=361", "angle is beyond a full turn"),
         ("r=4 q=1.5", "quality is out of bounds"),
         ("r=4 s=-1", "sigma is negative"),

@@ -75,7 +75,7 @@ def test_columns_can_be_given_with_their_units() -> None:
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        (("emitter", "range"), "`range` is no quantity with a unit"),
+        (("emitter", "range"), "`range` is not a quantity with a unit"),
         (("emitter", "time_s"), "neither a range, an angle nor a power"),
         (("range_cm", "range_m"), "says what another one says too"),
     ],
@@ -235,7 +235,7 @@ def test_results_in_a_log_are_millimetres_of_each_access_point() -> None:
         ({"status": 2}, "one-sided: the access point has no 802.11mc"),
         ({"is80211mcMeasurement": "false"}, "one-sided: the access point has no 802.11mc"),
         ({"numSuccessfulMeasurements": 0}, "no measurement succeeded"),
-        ({"distanceMm": "x"}, "range_mm is no number"),
+        ({"distanceMm": "x"}, "range_mm is not a number"),
     ],
 )
 def test_a_result_in_a_log_that_is_none_is_refused(changed: dict[str, object], reason: str) -> None:

@@ -251,7 +251,7 @@ def test_a_histogram_and_what_is_expected_of_it_have_one_scale(sigma_m: float) -
     bars, line = bars_of(str(chart.svg))
     assert sum(bars) == pytest.approx(sum(line), rel=0.02)
     assert sum(bar > 5.0 for bar in bars) > len(bars) / 3 or sigma_m < 0.1
-    assert "the outermost bars have all beyond them (-50 to 900)" in chart.note
+    assert "the outermost bars include all beyond them (-50 to 900)" in chart.note
 
 
 @pytest.mark.parametrize("thresholds", [(1.5, 0.4), (2.0, math.inf), (math.inf, math.inf)])

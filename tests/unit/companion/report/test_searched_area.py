@@ -98,8 +98,8 @@ def test_flights_are_shown_and_combined(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (b"{}", "not what a flight has searched"),
-        (b"\xff", "not what a flight has searched"),
+        (b"{}", "not a record of a searched area"),
+        (b"\xff", "not a record of a searched area"),
         (None, "has no searched_area.json"),
     ],
 )

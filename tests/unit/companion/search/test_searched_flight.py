@@ -94,7 +94,7 @@ def test_the_sentence_for_the_radio() -> None:
         "NE corner. Reach 50 m, as configured."
     )
     silent = msgspec.structs.replace(flight(0.0), is_radio_heard=False)
-    assert "sent nothing at all: check that it listened" in statement(silent, state)
+    assert "sent nothing at all: check that it was receiving" in statement(silent, state)
     late = msgspec.structs.replace(flight(0.0), contact_unix_s=50.0)
     assert statement(late, state).startswith("Searched before contact:")
     assert "the radio's reach is unknown" in statement(flight(0.0), None)

@@ -99,7 +99,7 @@ def complaint(arguments: argparse.Namespace, ask: object) -> str:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), "setup: say where the autopilot is"),
+        ((), "setup: specify the link to the autopilot"),
         (("--connect", "usb0"), "usb0"),
         (("--connect", SERIAL, "--radio", "esp32_ftm"), "give NAME@URL"),
         (("--connect", SERIAL, "--radio", "nobody@/dev/ttyUSB0"), "nobody"),
@@ -205,7 +205,7 @@ def test_a_user_without_name_or_home_is_asked_for_them(
     monkeypatch.setattr(os.path, "expanduser", str)
     assert main(["setup", "--connect", SERIAL, *OFFLINE]) == EXIT_BAD_INPUT
     assert capsys.readouterr().err.splitlines() == [
-        "companion: setup: this user has no name; say who flies with --user",
+        "companion: setup: this user has no name; specify one with --user",
         "companion: setup: there is no HOME to write to; choose a folder with --directory",
     ]
 

@@ -30,7 +30,7 @@ class Metres(LineDecoder):
         try:
             range_m = float(line)
         except ValueError:
-            self.counts.refuse("no number")
+            self.counts.refuse("not a number")
             return []
         return [RadioReading(range_m=range_m)] if math.isfinite(range_m) else []
 

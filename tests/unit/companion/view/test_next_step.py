@@ -78,7 +78,7 @@ def test_after_a_launched_flight_was_taken_over_it_is_not_about_to_take_off() ->
     loop.run_until(lambda: loop.phase is Phase.YIELD, 2.0)
     assert "stay in another mode until ready" in hint(loop)
     loop.run_until(lambda: loop.phase is Phase.STANDBY, 5.0)
-    assert hint(loop).startswith("Switch to offboard mode to give control.")
+    assert hint(loop).startswith("Switch to offboard mode to hand over control.")
 
 
 def test_where_a_grant_is_needed_it_says_how(flown: Loop) -> None:

@@ -33,7 +33,7 @@ def test_a_seed_draws_a_rate_and_slips_and_the_same_ones_again() -> None:
 
 
 def test_a_hold_lasts_until_the_plan_is_flown_or_the_flight_ends() -> None:
-    stale, on = "hold: vehicle position is stale", "flying the plan"
+    stale, on = "hold: vehicle position is stale", "following the plan"
     assert holds_s([(1.0, "ready"), (5.0, stale), (7.5, on), (9.0, stale)], 12.0) == [2.5, 3.0]
 
 
@@ -54,7 +54,7 @@ def test_what_is_not_good_is_a_finding(
 
 
 def test_a_good_flight_has_none() -> None:
-    assert faults_of(0.2, 2.5, 60.0, ["flying the plan"]) == []
+    assert faults_of(0.2, 2.5, 60.0, ["following the plan"]) == []
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ def test_a_px4_that_a_failsafe_took_gives_nothing_back_by_itself(away_s: float) 
 
 
 def test_an_autopilot_of_another_kind_is_named_and_never_ready() -> None:
-    """Its modes are unknown, so a switch could not give control."""
+    """Its modes are unknown, so a switch could not hand over control."""
     flight = ScriptedFlight(autopilot=Autopilot.OTHER).ready()
     flight.fly(12.0)
     assert flight.phase is Phase.WAITING
@@ -232,7 +232,7 @@ def test_heartbeats_of_the_past_do_not_count_as_time_in_another_mode() -> None:
 
 
 def test_a_battery_that_was_handed_back_for_is_so_once_in_a_flight() -> None:
-    """The pilot takes over and gives the mode again: it knows of the battery by then."""
+    """The pilot takes over and reselects the mode, and knows the charge by then."""
     flight = flying()
     for _ in range(2):
         flight.give(BatteryReported(flight.now_s, 5.0, BatteryLevel.UNKNOWN))

@@ -250,7 +250,7 @@ def test_a_vehicle_that_somebody_flies_is_not_launched(
     attempt.is_armed, attempt.height_m = True, 5.0
     assert attempt.wait(3.0) == []
     name = mode_name(mode, autopilot)
-    assert attempt.launch.failure == f"the vehicle is already being flown, in {name}"
+    assert attempt.launch.failure == f"the vehicle is already flying, in {name}"
 
 
 def test_an_unknown_autopilot_is_not_launched() -> None:

@@ -339,7 +339,7 @@ class TestAFenceThatChanges:
         fencing = flown(FencePolicy.USE, SMALL)
         fencing.take(read(BESIDE))
         assert allowed(fencing, (20.0, 0.0), (-10.0, 0.0), (40.0, 0.0)) == [True, False, False]
-        assert fencing.words.startswith("4 corners, 0 keep-outs, inside 1 more")
+        assert fencing.words.startswith("4 corners, 0 keep-outs, further fences: 1")
 
     def test_keep_outs_are_kept_too(self) -> None:
         fencing = flown(FencePolicy.USE, SQUARE, HOUSE)
@@ -391,7 +391,7 @@ class TestAFenceThatChanges:
         after.set_home((moved_m, 0.0))
         after.recall_flown(before.flown, before.fence_limits)
         assert allowed(after, (moved_m - 20.0, 0.0), (50.0, 0.0)) == [True, False]
-        assert f"inside {1 if moved_m == 0.0 else 2} more" in after.words
+        assert f"further fences: {1 if moved_m == 0.0 else 2}" in after.words
 
     def test_on_the_ground_the_newest_parameters_count(self) -> None:
         fencing = flown(FencePolicy.USE, SQUARE)

@@ -138,7 +138,7 @@ def test_standard_input_that_cannot_be_waited_for_is_refused_in_one_line(
     before, given = os.dup(0), os.open(path, os.O_RDONLY)
     try:
         os.dup2(given, 0)
-        with pytest.raises(LinkError, match="stdin: is no pipe and no terminal"):
+        with pytest.raises(LinkError, match="stdin: neither a pipe nor a terminal"):
             asyncio.run(StdinLink(0, lambda _: None).open())
     finally:
         os.dup2(before, 0)

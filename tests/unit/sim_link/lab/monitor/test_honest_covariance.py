@@ -28,7 +28,7 @@ BAD = {
     "a covariance that is not positive": replace(GOOD, covariance_m2=((4.0, 3.0), (3.0, 2.0))),
     "a covariance without bounds": replace(GOOD, covariance_m2=((1e9, 0.0), (0.0, 2.0))),
     "a negative radius": replace(GOOD, r95_m=-0.1),
-    "an estimate that is no number": replace(GOOD, covariance_m2=((math.nan, 0.0), (0.0, 2.0))),
+    "an estimate that is not a number": replace(GOOD, covariance_m2=((math.nan, 0.0), (0.0, 2.0))),
 }
 
 
