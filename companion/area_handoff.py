@@ -187,7 +187,6 @@ def encoded_png(pixels: np.typing.NDArray[np.uint8]) -> bytes:
     lines[:, 1:] = pixels.reshape(rows, -1)
 
     def chunk(name: bytes, data: bytes) -> bytes:
-        """Return a chunk: length, name, data and CRC-32."""
         check = zlib.crc32(name + data)
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", check)
 

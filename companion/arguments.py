@@ -88,7 +88,6 @@ def number_in(
     wanted = f"{'above' if is_open else 'from'} {least:g}" + f" to {most:g}" * (most < math.inf)
 
     def parsed(text: str) -> float:
-        """Return the number in a text, or raise an ArgumentTypeError."""
         try:
             value = kind(text)
         except ValueError:

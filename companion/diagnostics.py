@@ -378,11 +378,7 @@ log = logging.getLogger("companion.process")
 
 @contextmanager
 def raised_priority() -> Iterator[str | None]:
-    """Give the main thread the highest priority that the system grants, until the end.
-
-    Yields:
-        A description of it; None where it is that of any other program.
-    """
+    """Give the main thread the highest priority granted; yield its description, None for normal."""
     is_main = threading.current_thread() is threading.main_thread()
     if not (is_main and sys.platform.startswith("linux")):
         yield None

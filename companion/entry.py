@@ -63,10 +63,7 @@ class _EscapedOutput(io.TextIOWrapper):
 
 
 def ignore_broken_pipe(*, escapes: bool = False) -> None:
-    """Keep standard output and error working without a reader; replaced streams stay.
-
-    With `escapes` control characters are printed escaped.
-    """
+    """Keep standard streams working without a reader; with `escapes` control codes are escaped."""
     _fill_descriptors()
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -121,7 +118,6 @@ def main() -> int:
     from companion.cli import main as run
 
     def obey() -> None:
-        """Let signals interrupt the command."""
         signal.signal(signal.SIGINT, before)
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -109,7 +109,6 @@ def fly_demo(arguments: argparse.Namespace) -> int:
     pages: list[WebView] = []
 
     def make_views(config: CompanionConfig, truth_enu_m: tuple[float, float]) -> list[FlightView]:
-        """Return the screen, and the map with the emitter's true position for comparison."""
         if settings is not None:
             pages.append(_open_map(settings, config, truth_enu_m, outlives=True))
             if not arguments.no_browser:
@@ -117,7 +116,6 @@ def fly_demo(arguments: argparse.Namespace) -> int:
         return [*pages, _console_view()]
 
     def report(directory: Path) -> None:
-        """Make the report of any flight: no vehicle waits for the end."""
         path = _write_report(directory, arguments.web_tiles)
         if path is not None and settings is not None and not arguments.no_browser:
             open_page(path.resolve().as_uri())

@@ -150,11 +150,7 @@ def radio_links(radios: Sequence[RadioConfig]) -> list[FlightLink]:
 def flight_links(
     connect: str, ranging: Sequence[str], radios: Sequence[RadioConfig], gcs: Sequence[str] = ()
 ) -> list[FlightLink]:
-    """Return the vehicle's link, those with only ranging, the radios', then ground stations'.
-
-    Raises:
-        ConfigError: A link is not understood, or two are the same.
-    """
+    """Return the links: vehicle, ranging, radios, stations; `ConfigError`: bad, or two the same."""
     mavlink = [("--connect", connect, LinkRole.VEHICLE)]
     mavlink += [("--ranging", text, LinkRole.RANGING) for text in ranging]
     given = [(f"{option} {text}", parse_flight_link(text, role)) for option, text, role in mavlink]

@@ -78,7 +78,6 @@ def handoff_of(
     height_m = estimate.height_m
 
     def degrees(point: Point) -> Degrees:
-        """Return latitude and longitude of a point, degrees."""
         return origin.geodetic_from_enu((*point, height_m))[:2]
 
     alternative = estimate.alternative_enu_m
@@ -211,7 +210,6 @@ def _add_placemarks(document: ET.Element, handoff: Handoff) -> None:
     )
 
     def placemark(suffix: str) -> ET.Element:
-        """Add a placemark with the state of the estimate; return it."""
         element = ET.SubElement(document, "Placemark")
         add_text(element, "name", f"emitter {printable(handoff.emitter)}{suffix}")
         add_text(element, "description", about)

@@ -102,7 +102,6 @@ def _dispatcher(
 
     @functools.wraps(function)
     def dispatched(*arguments: Any) -> Any:
-        """Call the code compiled for these types, else the plain function."""
         kinds = [
             (each.dtype.char, each.ndim, each.flags.num & _FLAGS)
             if type(each) is np.ndarray

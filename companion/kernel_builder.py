@@ -63,11 +63,7 @@ class Recorder:
         return f"{self.plain.__module__}.{self.plain.__name__}"
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the kernel.
-
-        Raises:
-            TypeError: It was called with other types that `kind_of` cannot distinguish.
-        """
+        """Call the kernel; `TypeError`: with other types that `kind_of` cannot distinguish."""
         if Recorder.depth == 0:
             key, signature = tuple(map(kind_of, arguments)), tuple(map(type_of, arguments))
             if self.calls.setdefault(key, signature) != signature:

@@ -151,10 +151,8 @@ def can_compile() -> bool:
 def compile_kernels() -> None:
     """Compile the kernels in another process and keep them, which takes some half a minute.
 
-    Two processes may build at once, each in its own folder; the first one's is kept.
-
-    Raises:
-        CompanionError: Something for compiling is missing, it failed, or nothing can be kept.
+    Two processes may build at once, the first one's are kept. `CompanionError`: something is
+    missing for it, it failed, or nothing can be kept.
     """
     _check_tools()
     folder = _kept_folder()

@@ -113,11 +113,7 @@ def _open_black_box(open_it: Callable[[], FlightJournal], *, is_restart: bool) -
 
 
 def compile_kernels() -> str:
-    """Compile the kernels unless that was done, and return a sentence about them.
-
-    Raises:
-        CompanionError: They cannot be compiled, or not be kept.
-    """
+    """Compile the kernels unless done, and say so; `CompanionError`: not compiled, or not kept."""
     if IS_NATIVE:
         return "kernels were compiled ahead: nothing to do"
     if IS_SWITCHED_OFF or not kernel_cache.can_compile():
@@ -151,7 +147,6 @@ def _reported_progress() -> Iterator[None]:
     is_over = threading.Event()
 
     def report() -> None:
-        """Log the progress until the kernels are compiled."""
         seconds = 0.0
         log.info("compiling kernels, which takes half a minute or more")
         while not is_over.wait(PROGRESS_S):

@@ -86,10 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_subcommand(argv: Sequence[str]) -> int:
-    """Run a subcommand; return the exit code.
-
-    `CompanionError`: bad input, or something could not be done.
-    """
+    """Run a subcommand, return the exit code; `CompanionError`: bad input, or it cannot be done."""
     arguments = subcommand_parser().parse_args(argv)
     code: int = arguments.run(arguments)
     return code
@@ -192,7 +189,6 @@ def _run(arguments: argparse.Namespace) -> int:
     orders: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def on_wakeup(now_s: float) -> None:
-        """Keep files, apply incidents and print occurrences."""
         files.keep(now_s)
         _apply_incidents(endpoints[0], orders, now_s)
         for endpoint in endpoints:

@@ -29,10 +29,7 @@ from sim_link.autopilot.scenario import Scenario
 
 
 def load_scenario(path: Path) -> Scenario:
-    """Return the scenario of a YAML file, with canonical values for missing keys.
-
-    `ConfigError`: it is wrong.
-    """
+    """Return the scenario of a YAML file, by default the canonical one; `ConfigError`: wrong."""
     return load_yaml(path, Scenario, renew_scenario)
 
 
@@ -160,10 +157,7 @@ class FleetOptions:
 
 
 def make_vehicles(options: FleetOptions) -> list[SimEndpoint]:
-    """Return one endpoint per vehicle.
-
-    `ConfigError`: a parameter, its file, a key or an id is bad.
-    """
+    """Return one endpoint per vehicle; `ConfigError`: a parameter, its file, key or id is bad."""
     scenario = options.scenario
     last = scenario.system_id + scenario.vehicles - 1
     if last > MAX_SYSTEM_ID:
@@ -227,10 +221,7 @@ def udp_ports(options: FleetOptions) -> list[tuple[LinkMode | None, int, tuple[A
 
 
 def link_specs(options: FleetOptions, number: int) -> list[Transport]:
-    """Return the links of a vehicle.
-
-    `ConfigError`: a port is too high, or a line is to serve several.
-    """
+    """Return a vehicle's links; `ConfigError`: a port too high, or a line for several."""
     specs: list[Transport] = []
     for _, port, addresses in udp_ports(options):
         remotes = tuple(
@@ -268,10 +259,7 @@ def numbered_path(path: Path | None, number: int) -> Path | None:
 
 
 def stored_parameters(path: Path | None) -> str:
-    """Return the text of a parameter file, empty without one.
-
-    `ConfigError`: not to be read or written.
-    """
+    """Return the text of a parameter file, empty without one; `ConfigError`: no access."""
     if path is None:
         return ""
     check_writable(path)

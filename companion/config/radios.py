@@ -41,10 +41,7 @@ class RadioConfig(Params, frozen=True):
 
 
 def radio_setup(radio: RadioConfig, path: str) -> RadioSetup:
-    """Return the setup of a radio for a flight; a `ConfigError` begins with `path`.
-
-    This loads plugins; a broken one is named.
-    """
+    """Return a radio's setup for a flight, plugins loaded; a `ConfigError` begins with `path`."""
     kind = radio_kind(radio.name)
     settings = {**kind.defaults, **radio.settings}
     try:

@@ -224,7 +224,6 @@ def _raster_of_ascii(text: str) -> SearchSite:
         first += 1
 
     def value(*names: str) -> float:
-        """Return the header's value under the first of these names."""
         for name in names:
             if name in header:
                 return header[name]

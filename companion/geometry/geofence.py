@@ -206,7 +206,6 @@ def _reach(one: Corners, other: Corners) -> tuple[float, Point]:
     sides = tuple(edges(other))
 
     def off_m(point: Point) -> float:
-        """Return the distance of a point from the nearest side."""
         return min(math.dist(point, nearest_on_segment(a, b, point)) for a, b in sides)
 
     return max((off_m(point), point) for point in _along(one))

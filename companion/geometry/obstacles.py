@@ -50,10 +50,7 @@ Segment = tuple[Point, Point]
 
 
 class FreeSpace:
-    """Free space of a vehicle: inside a fence, if any, `margin_m` away from every border.
-
-    `also_inside_enu_m` are further polygons that it must be inside of at the same time.
-    """
+    """Free space `margin_m` off the borders of a fence, if any, and of `also_inside_enu_m`."""
 
     def __init__(
         self,
@@ -155,7 +152,6 @@ class FreeSpace:
 
     def _free_of(self, arc: Arc) -> Iterator[Arc]:
         def is_on_boundary(turn_rad: float) -> bool:
-            """Return True if the arc keeps the margin there."""
             position = arc.at(turn_rad)
             for edge in self._edges:
                 if math.dist(nearest_on_segment(*edge, position), position) < self.margin_m:

@@ -156,10 +156,7 @@ class Guard:
         self._band_m = limits.altitude_m
 
     def here(self, motion: Motion) -> Guarded:
-        """Return the setpoint "stay where you are", in the band; from outside it is then walked in.
-
-        Raises `ValueError` if vehicle or home has no finite position, so that no setpoint is safe.
-        """
+        """Return the setpoint "stay here", in the band; `ValueError`: no finite position."""
         if not _are_finite(motion.position_enu_m, motion.home_enu_m):
             raise ValueError("the position of vehicle or home is not a number")
         reasons = [GuardReason.NO_FENCE] if self._known is None else []
@@ -169,10 +166,7 @@ class Guard:
         return Guarded((*motion.position_enu_m[:2], up_m), tuple(reasons))
 
     def stand(self, position_enu_m: Position) -> Guarded:
-        """Return the setpoint "do not move", even outside: for while the position is in doubt.
-
-        Raises `ValueError` if the position is not finite.
-        """
+        """Return the setpoint "do not move", even outside; `ValueError`: no finite position."""
         if not _are_finite(position_enu_m):
             raise ValueError("the position to hold is not a number")
         return Guarded(position_enu_m)

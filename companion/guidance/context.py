@@ -238,10 +238,7 @@ class SessionContext:
 
     @property
     def is_airborne(self) -> bool:
-        """True if the vehicle may be in the air: armed, and not on the ground by report and height.
-
-        A report alone may be false in flight, or old.
-        """
+        """True if it may be in the air: armed, and not on the ground by both report and height."""
         vehicle, floor_m = self.vehicle, self.guard.limits.envelope.altitude_min_m
         if vehicle.landed is not LandedState.ON_GROUND or not vehicle.is_armed:
             return vehicle.is_armed

@@ -175,10 +175,7 @@ class EmitterQueue:
     def addressed(
         self, measurement: RangingMeasurement, now_s: float
     ) -> TargetTracker | RejectReason:
-        """Return the filter of a measurement's emitter among several, or why it has none.
-
-        An emitter that is heard for the first time gets one.
-        """
+        """Return the filter of an emitter, a new one if need be, or why it has none."""
         tracker = self._trackers.get(measurement.emitter_id)
         if tracker is not None:
             return tracker

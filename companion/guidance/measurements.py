@@ -88,7 +88,6 @@ class FusionQueue:
         """Drop the oldest measurement of the longest queue that is not begun."""
 
         def waiting(key: int) -> int:
-            """Return how many measurements of a queue are not begun."""
             return len(self.by_emitter[key]) - (key in self._begun)
 
         longest = max(self.by_emitter, key=waiting)
@@ -142,10 +141,7 @@ class RangingListener:
         """Measurements waiting for fusion."""
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
-        """Queue a measurement for the next `fuse_due`.
-
-        Of too many that wait the oldest is dropped; a copy of one that waits is rejected.
-        """
+        """Queue a measurement without copies; of too many the oldest is dropped."""
         if self._lag_s:
             measured_at_s = measurement.measured_at_s - self._lag_s
             measurement = replace(measurement, measured_at_s=measured_at_s)
@@ -292,10 +288,7 @@ class Measuring:
         return bool(self._queue.by_emitter)
 
     def fuse_due(self, now_s: float, *, has_time: bool = True) -> None:
-        """Queue measurements whose position is known, and fuse within the steps of this wake-up.
-
-        With `has_time` false they only queue up.
-        """
+        """Queue measurements of known position; with `has_time` fuse in this wake-up's steps."""
         due = self._listener.take_due(now_s) if self._listener.waiting else ()
         if due:
             own = self._context.vehicle.position_accuracy.accuracy(now_s)

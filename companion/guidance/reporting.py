@@ -79,12 +79,10 @@ class SettledRule:
     def is_met(
         self, estimate: TargetEstimate | None, heard_s: float | None, settle_s: float
     ) -> bool:
-        """Return True if R95 has not improved for `settle_s`; a missing estimate stops the time.
+        """Return True if R95 has not improved for `settle_s` of time with measurements.
 
-        Args:
-            estimate: None while the plan is not followed, or no measurements arrive.
-            heard_s: Time of the last accepted measurement.
-            settle_s: Time between measurements that must pass without improvement.
+        `estimate` is None while the plan is not followed, or no measurements arrive: time then
+        stops.
         """
         if estimate is None or heard_s is None:
             self._heard_s = None
@@ -261,10 +259,7 @@ class Reporting:
             self._announce_searched()
 
     def _report_known(self, head: str, now_s: float) -> bool:
-        """Report the estimates of all emitters not reported yet, the current emitter last.
-
-        Returns False if there is none.
-        """
+        """Report all emitters not reported yet, the current one last; return False if none is."""
         emitters = self._context.emitters
         waiting = [emitters.tracker_of(n) for n in reversed(emitters.waiting)]
         estimates = [(each, each.estimate(now_s)) for each in (*waiting, emitters.current)]

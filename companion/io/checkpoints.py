@@ -284,10 +284,7 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
 
 
 def keep_offset(directory: Path, key: str, offset: KeptOffset) -> Path:
-    """Add an offset, or replace that of the same radio; return the file.
-
-    Raises a `CompanionError` if it cannot be kept.
-    """
+    """Add or replace a radio's offset; return the file. `CompanionError`: it cannot be kept."""
     offsets: Mapping[str, KeptOffset] = {**kept_offsets(directory), key: offset}
     try:
         directory.mkdir(parents=True, exist_ok=True)

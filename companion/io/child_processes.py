@@ -174,10 +174,7 @@ _WOKEN = struct.Struct(f"<{PEERS}d")
 
 
 class SharedClock(Clock):
-    """Clock of every process but the pacer; `number` is its slot in the file.
-
-    `speed` is the pacer's current one.
-    """
+    """Clock of every process but the pacer, at its speed; `number` is its slot in the file."""
 
     def __init__(self, path: Path, number: int) -> None:
         with path.open("r+b") as file:

@@ -103,7 +103,6 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
     def opener(name: str, flags: int) -> int:
-        """Open the file with the permissions of `mode`."""
         return os.open(name, flags, mode)
 
     try:

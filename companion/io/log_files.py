@@ -367,10 +367,7 @@ class _RecordReader:
 
 
 def event_of(value: Input) -> events.Event:
-    """Return the event that `InputLog.event` recorded.
-
-    A `ConfigError` if its memory is unreadable.
-    """
+    """Return the event that `InputLog.event` recorded; `ConfigError`: its memory is unreadable."""
     now_s, data = value.time_s, value.data
     match value.kind:
         case InputKind.OPERATOR_COMMAND:

@@ -243,12 +243,10 @@ def _open(path: Path, flight_json: str) -> tuple[Callable[[Message], None], Call
         numbers[topic] = writer.register_channel(topic, channel.message_encoding, number)
 
     def write(message: Message) -> None:
-        """Write one message to its channel."""
         topic, data, stamp_ns = message
         writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
 
     def finish() -> None:
-        """Write the summary, and close the file."""
         writer.finish()  # type: ignore[no-untyped-call]
         file.close()
 
@@ -315,10 +313,7 @@ class McapFlight:
 
 
 def read_mcap_flight(path: Path) -> McapFlight:
-    """Return the flight in an MCAP file.
-
-    A `ConfigError` if it is unreadable or of another program.
-    """
+    """Return the flight in an MCAP file; `ConfigError`: unreadable, or of another program."""
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader

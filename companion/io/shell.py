@@ -378,7 +378,6 @@ class Shell:
             return handler
 
         def pass_on(number: int, _: object) -> None:
-            """Let a later signal do what it does without this shell."""
             if time.monotonic() - signalled_s > SAME_SIGNAL_S:
                 signal.signal(number, handler)
                 signal.raise_signal(number)

@@ -151,7 +151,6 @@ def _number_of(host: str) -> str:
     found = [host]
 
     def look_up() -> None:
-        """Look up the name; `found` stays empty without an address."""
         with suppress(OSError, UnicodeError):
             found.append(socket.gethostbyname(host))
 

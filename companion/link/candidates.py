@@ -55,10 +55,7 @@ class Candidates:
         wanted_system_id: int | None,
         bound: Candidate | None,
     ) -> bool:
-        """Process a HEARTBEAT; return True if its sender is a candidate.
-
-        The `bound` one keeps kind and address, and is never dropped.
-        """
+        """Process a HEARTBEAT; return True for a candidate. The `bound` one is never changed."""
         ids = (heartbeat.get_srcSystem(), heartbeat.get_srcComponent())
         autopilot = autopilot_of(heartbeat)
         if autopilot is None or 0 in ids:

@@ -38,10 +38,7 @@ TEXTS_PER_S, TEXT_BURST = 10, 30
 
 
 class SessionExecutor:
-    """Reports events to the session and executes its commands.
-
-    Queries and link health start again after a restart of the autopilot.
-    """
+    """Reports events to the session and executes its commands; restarts with the autopilot."""
 
     def __init__(
         self,

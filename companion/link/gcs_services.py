@@ -84,10 +84,7 @@ class TunableBook(Protocol):
         """Return a value; an `int` for integer types."""
 
     def change(self, index: int, value: float) -> Tuning:
-        """Change a value; return the settings for the session.
-
-        Raises `ConfigError` with the reason, and changes nothing, if the value is not allowed.
-        """
+        """Change a value; return the session's settings. `ConfigError`: refused, none changed."""
 
 
 class ParameterServer:

@@ -386,9 +386,6 @@ def _landed_state(value: int) -> LandedState:
 
 
 def is_time_request(frame: bytes) -> bool:
-    """Return True if a TIMESYNC asks for the time; only answers, whose `tc1` is set, are of use.
-
-    PX4 asks every component ten times a second.
-    """
+    """Return True if a TIMESYNC asks for the time (PX4: ten times a second): its `tc1` is 0."""
     at = HEADER_LENGTH[frame[0]]
     return frame[at : at + 8] == NO_TIME

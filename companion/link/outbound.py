@@ -223,10 +223,7 @@ def status_text(severity: int, text: str, text_id: int) -> list[Message]:
 
 
 def _chunks(text: str) -> list[bytes]:
-    """Return UTF-8 in pieces of one STATUSTEXT each, without splitting a character.
-
-    Source: MAVLink common, STATUSTEXT: a text of several chunks ends with the first NUL.
-    """
+    """Return UTF-8 in whole characters per STATUSTEXT; a NUL ends the last chunk (MAVLink)."""
     chunks = [b""]
     for character in text.encode("utf-8", errors="replace").decode("utf-8"):
         data = character.encode("utf-8")

@@ -46,11 +46,7 @@ class _TopicState:
 
 
 class TextGate:
-    """Filter of the texts that are announced, and of those that are sent by radio.
-
-    Args:
-        bytes_per_s: Capacity of the slowest downlink, bytes a second.
-    """
+    """Filter of announced texts, and of those sent by a radio of `bytes_per_s`."""
 
     def __init__(self, bytes_per_s: float) -> None:
         self.withheld = 0

@@ -209,11 +209,7 @@ def other_mode_name(heartbeat: mavlink.MAVLink_heartbeat_message, autopilot: Aut
 def set_mode_params(
     mode: FlightMode, autopilot: Autopilot, *, is_armed: bool
 ) -> tuple[float, float, float]:
-    """Return parameters 1 to 3 of MAV_CMD_DO_SET_MODE for a supported vehicle.
-
-    Raises:
-        KeyError: The autopilot has no such mode.
-    """
+    """Return parameters 1 to 3 of MAV_CMD_DO_SET_MODE; `KeyError`: there is no such mode."""
     base_mode = CUSTOM_MODE_ENABLED
     if is_armed:
         base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED

@@ -51,10 +51,7 @@ class TargetedTimesync(mavlink.MAVLink_timesync_message):
 
 
 class IdentifiedMissionCurrent(mavlink.MAVLink_mission_current_message):
-    """MISSION_CURRENT with the extension fields for the ids of mission, fence and rally points.
-
-    An id of 0 means no plan, or an autopilot that does not support ids.
-    """
+    """MISSION_CURRENT with the ids of mission, fence and rally points; 0: none, or unsupported."""
 
     def __init__(
         self, seq: int, total: int, state: int, mode: int, plan_ids: tuple[int, int, int]
@@ -136,7 +133,6 @@ def targets_of_frame(frame: bytes) -> tuple[int, int]:
     start, length = HEADER_LENGTH[frame[0]], frame[1]
 
     def byte(offset: int | None) -> int:
-        """Return a byte of the payload; 0 where it was truncated or does not exist."""
         # MAVLink 2 truncates zeros at the end of a payload
         return 0 if offset is None or offset >= length else frame[start + offset]
 

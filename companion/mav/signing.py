@@ -165,10 +165,7 @@ class Signing:
         is_trusted_link: bool = False,
         unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED,
     ) -> SignatureVerdict:
-        """Verify one whole frame whose CRC is right.
-
-        Messages of `unsigned_ids` may come unsigned, and on a trusted link all may.
-        """
+        """Verify a frame of right CRC; `unsigned_ids`, or all on trusted links, may be unsigned."""
         verdict = self._judge(frame, is_trusted_link or message_id(frame) in unsigned_ids)
         self.verdicts[verdict] += 1
         return verdict

@@ -351,10 +351,7 @@ def _with_held_lag(fit: LinearFit) -> LinearFit:
 
 
 def _sectors(problem: _FitProblem, mount: float, lag: float) -> Labels:
-    """Return sectors of angle and heading, because an element or the compass errs within one.
-
-    If there are too few, blocks of time instead.
-    """
+    """Return sectors of angle and heading, where elements or compass err; blocks of time if few."""
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
     labels = _numbered(turns[0] * SECTORS + turns[1])

@@ -274,10 +274,7 @@ class _Listener(OneShotEndpoint):
                 self._ranges_m.setdefault(found.emitter_id, []).append(found.range_m)
 
     def ranges_of(self, emitter: str | None) -> list[float] | str:
-        """Return the ranges of an emitter, the only one if None; or why they are too few.
-
-        A cell names its one phone differently with each attach.
-        """
+        """Return the ranges of an emitter, the only one if None (a cell's); or why too few."""
         kind, stage = self.stage.setup.kind, self.stage
         numbers = [number for number in self._ranges_m if emitter in (None, str(number))]
         if len(numbers) > 1 and not kind.needs_offset:
@@ -300,10 +297,7 @@ class _Listener(OneShotEndpoint):
 
 
 def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
-    """Collect ranges and keep the offset.
-
-    Return the exit code, 1 for too few ranges or several emitters, and the report.
-    """
+    """Collect ranges and keep the offset; return the exit code (1: it cannot be) and the report."""
     distance_m = arguments.beside
     if not 0.0 <= distance_m <= MOST_BESIDE_M:
         raise ConfigError(f"--beside {distance_m:g}: give metres from 0 to {MOST_BESIDE_M:g}")

@@ -131,10 +131,7 @@ def _interval(figure: Figure, digits: int) -> str:
 
 
 def yaml_to_paste(done: Calibration) -> str:
-    """Return keys for a radio's `settings` and for `estimation.filter`.
-
-    Empty if nothing is usable.
-    """
+    """Return keys for a radio's `settings` and for `estimation.filter`; empty if none is usable."""
     stage: dict[str, str] = {}
     estimator: dict[str, str] = {}
     if done.has_ranges and done.range_fit is not None:

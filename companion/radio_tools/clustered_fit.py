@@ -78,10 +78,7 @@ def student_975(freedom: float) -> float:
 
 
 def sigma_figure(sigma: float, freedom: float) -> Figure:
-    """Return a standard deviation by chi-square (quantiles of E. B. Wilson and M. M.
-
-    Hilferty, 1931).
-    """
+    """Return a standard deviation by chi-square (quantiles of Wilson and Hilferty, 1931)."""
     n = max(freedom, 1.0)
     spread = NORMAL_975 * math.sqrt(2.0 / (9.0 * n))
     high, low = (max(1.0 - 2.0 / (9.0 * n) + sign * spread, 0.05) ** 1.5 for sign in (1, -1))

@@ -166,10 +166,7 @@ class RadioDecoder(ABC):
 
     @abstractmethod
     def feed(self, data: bytes, received_s: float) -> list[RadioReading]:
-        """Return the readings that some bytes complete; any cut of the stream gives the same list.
-
-        `received_s` is the time of arrival on the companion's clock. Never raises on bad bytes.
-        """
+        """Return the readings completed at `received_s`, however bytes are cut; never raises."""
 
     def reset(self) -> None:
         """Forget a partial frame, because the line was lost and came back."""

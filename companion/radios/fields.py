@@ -307,10 +307,7 @@ def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
 
 
 def _unit_of(behind: re.Match[str] | None) -> str | None:
-    """Return the unit after a number; None without a word, or if the word is not a unit.
-
-    A word directly after the number, or in another script, counts as an unknown unit.
-    """
+    """Return the unit after a number; None if there is none; a word glued to it is unknown."""
     if behind is None:
         return None
     if behind[3]:

@@ -120,10 +120,7 @@ class _Channels:
         return "just tuned to this frequency" if time_ms < channel.valid_from_ms else None
 
     def _next(self, before: _Channel | None, time_ms: float, now_s: float) -> _Channel:
-        """Return the channel's next state.
-
-        A frequency counts as newly tuned after another was received.
-        """
+        """Return the channel's next state; a frequency is new after another was received."""
         others = self._seen.values()
         beside = [one for one in others if one.last_ms == time_ms]
         for one in beside:

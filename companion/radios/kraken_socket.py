@@ -192,10 +192,7 @@ class KrakenSocketDecoder(KrakenDecoder):
 
 
 def _channels_of(body: bytes) -> list[tuple[float, float, tuple[float, ...]]] | None:
-    """Return offset in Hz, degrees per bin and spectrum of each.
-
-    None if they do not fill the frame.
-    """
+    """Return offset in Hz, degrees per bin and spectrum of each; None if the frame is not full."""
     count = WORD.unpack_from(body, WORD.size)[0] if len(body) >= 2 * WORD.size else 0
     at, channels = 2 * WORD.size, []
     if not 0 < count <= MOST_CHANNELS:

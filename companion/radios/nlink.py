@@ -213,10 +213,7 @@ class NlinkDecoder(FrameDecoder):
         return raw / PER_RAD
 
     def _is_in_sight(self, fp: int, rx: int) -> bool | None:
-        """Return True for line of sight, by the share of the signal that came first.
-
-        None if unknown.
-        """
+        """Return True for line of sight, by the first path's share of the signal; None: unknown."""
         most_db = self.options.nlos_gap_db
         if most_db is None:
             return None

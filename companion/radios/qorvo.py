@@ -137,10 +137,7 @@ class QorvoCliDecoder(FieldDecoder):
         return self._measured(int(address, 16), values)
 
     def _measured(self, address: int, values: dict[str, str]) -> RadioReading | None:
-        """Return the measurement of a record.
-
-        Absent values were not measured; malformed ones mean that the record is incomplete.
-        """
+        """Return the measurement of a record; absent values are not measured, malformed refused."""
         there = {key: number(values[key]) for key in MEASURED_KEYS if key in values}
         distance_cm, azimuth_deg, elevation_deg = map(there.get, MEASURED_KEYS)
         if None in there.values() or not there:

@@ -61,10 +61,7 @@ class SlotDecoder(FieldDecoder):
     def read_slots(
         self, tag: int, slots: Iterable[tuple[int, float, int, float | None]], nothing: str
     ) -> list[RadioReading]:
-        """Return the readings of slots that were answered: (slot, metres, anchor, dBm).
-
-        `nothing` is the reason that is counted if there is none.
-        """
+        """Return the readings of answered slots (slot, metres, anchor, dBm), or count `nothing`."""
         self.counts.frames += 1
         options, readings = self.options, []
         for slot, range_m, anchor, power_dbm in slots:
@@ -116,10 +113,7 @@ class MakerfabsAtDecoder(SlotDecoder):
 
 
 class TrekDecoder(SlotDecoder):
-    """Decoder of `mc` reports: four ranges in hexadecimal millimetres and a validity mask.
-
-    `mr` reports are the same before a correction, `ma` reports are between anchors.
-    """
+    """Decoder of `mc` reports: four ranges in hexadecimal mm, and a mask; not of `mr` and `ma`."""
 
     _REPORT = re.compile(
         r"mc ([0-9a-f]{2})((?: [0-9a-f]{8}){4})"
@@ -151,10 +145,7 @@ class UudfOptions(Params, frozen=True):
 
 
 class UudfDecoder(FieldDecoder):
-    """Decoder of `+UUDF` events of u-blox' direction finding.
-
-    Azimuth and elevation about the board.
-    """
+    """Decoder of u-blox' `+UUDF` events: azimuth and elevation about the board."""
 
     Options = UudfOptions
     options: UudfOptions

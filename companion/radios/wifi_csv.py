@@ -56,10 +56,7 @@ class FtmCsvOptions(Params, frozen=True):
 
 
 class FtmCsvDecoder(FieldDecoder):
-    """Decoder of CSV of ESP32 firmware.
-
-    GTEC's columns, known variants without a header, or given ones.
-    """
+    """Decoder of ESP32 firmware's CSV: GTEC's columns, known headerless variants, or given ones."""
 
     Options = FtmCsvOptions
     options: FtmCsvOptions
@@ -122,10 +119,7 @@ class FtmCsvDecoder(FieldDecoder):
         return self.refused(problem) if problem is not None else self.read_fields(texts)
 
     def _bars(self, distance: str, rtt_ns: str, power: str) -> list[RadioReading]:
-        """Read a distance in the stream's unit, the only one that agrees with the round trip.
-
-        While both units agree there is no reading yet.
-        """
+        """Read a distance in the one unit that agrees with the round trip, once only one does."""
         value, rtt = number(distance), number(rtt_ns)
         if value is None or rtt is None:
             return self.refused("torn row")
@@ -411,10 +405,7 @@ class AndroidRttDecoder(FieldDecoder):
         return readings
 
     def _time_unit(self, unit: str, text: str) -> str:
-        """Return the unit of time; empty, if neither given nor a date of this century.
-
-        Arrival counts.
-        """
+        """Return the unit of time: given, or of a date of this century; empty: arrival counts."""
         if self.options.time_unit != "auto" or unit:
             return unit if self.options.time_unit == "auto" else self.options.time_unit
         digits = text.partition(".")[0]

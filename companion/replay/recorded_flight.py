@@ -237,7 +237,6 @@ def _inputs_of(
     whole: list[int] = []
 
     def on_damage(number: int) -> None:
-        """Note a damaged record, and the number of inputs before it."""
         bad.append(number)
         whole.append(len(inputs))
 

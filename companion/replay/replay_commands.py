@@ -64,7 +64,6 @@ def run(arguments: argparse.Namespace) -> int:
         return _replay_recording(arguments, config or CompanionConfig())
 
     def report(replay: FlightReplay) -> None:
-        """Print the comparison, and write the figures if requested."""
         print(replay.table())
         print(replay.verdict, flush=True)
         if arguments.json is not None:
@@ -97,7 +96,6 @@ def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) ->
 
 def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     def progress(rows: int) -> None:
-        """Show the number of rows on a terminal."""
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
 

@@ -135,10 +135,7 @@ def replay_walk(
     progress: Progress | None = None,
     own_sigma_m: float | None = None,
 ) -> list[TargetResult]:
-    """Run one tracker per target over a recorded walk; `progress` gets the number of rows.
-
-    `own_sigma_m` replaces the walk's own accuracy of its positions.
-    """
+    """Run one tracker per target over a walk; `own_sigma_m` replaces the walk's own accuracy."""
     targets: dict[str, _Replayed] = {}
     rows = read_walk(path, own_sigma_m)
     params = with_unknown_height(params, rows)

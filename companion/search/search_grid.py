@@ -65,13 +65,9 @@ class SearchGrid:
 def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     """Return the grid over all areas, with their weights spread evenly over each.
 
-    An area that contains no centre of a cell has its weight in the nearest cell.
-
-    Cells are larger than `cell_m` where the areas would have more than `MOST_CELLS`, and smaller
-    in a small area.
-
-    Raises:
-        ValueError: no area has a weight, or they enclose nothing.
+    An area that contains no centre of a cell has its weight in the nearest one. Cells grow beyond
+    `cell_m` for at most `MOST_CELLS`, and shrink in a small area. `ValueError`: no weight, or no
+    area.
     """
     corners = np.array([corner for area in areas for corner in area.corners_enu_m], dtype=float)
     if not len(corners) or not any(area.weight > 0.0 for area in areas):
@@ -105,12 +101,9 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
 
 
 def grid_of_weights(west_m: float, south_m: float, cell_m: float, weights: Floats) -> SearchGrid:
-    """Return the search grid of weights (rows, columns), rows counted from the south-west corner.
+    """Return the grid of weights (rows, columns), rows counted from the south-west corner.
 
-    Cells with a missing or infinite weight are outside the area.
-
-    Raises:
-        ValueError: The grid has no weight, or more than `MOST_CELLS` cells.
+    Missing or infinite ones are outside. `ValueError`: no weight, or more than `MOST_CELLS` cells.
     """
     if weights.size > MOST_CELLS:
         raise ValueError(f"{weights.size} cells; at most {MOST_CELLS}: make cells larger")
@@ -184,9 +177,7 @@ def grid_of_site(
 ) -> SearchGrid:
     """Return the grid about a local origin.
 
-    Raises:
-        ValueError: it is more than 20 km away, has too many cells, nothing has a weight, or it lies
-            wholly outside of the fence.
+    `ValueError`: more than 20 km away, too many cells, no weight, or all outside of the fence.
     """
     grid = _of_site(site, origin, cell_m)
     if fence_enu_m is not None and share_outside(grid, fence_enu_m) > 1.0 - 1e-9:

@@ -65,7 +65,6 @@ def _rings(image: Bools) -> Iterator[list[Node]]:
     leaving: dict[Node, list[int]] = {}
 
     def add(sides: Bools, direction: int, shift: Node) -> None:
-        """Add an outline's direction at each of these sides of cells."""
         for row, column in np.argwhere(sides):
             node = (int(row) + shift[0], int(column) + shift[1])
             leaving.setdefault(node, []).append(direction)

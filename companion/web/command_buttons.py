@@ -90,7 +90,6 @@ def _confirmation(
         with ui.row():
 
             def do() -> None:
-                """Close the dialog, and give the command."""
                 dialog.close()
                 confirmed()
 

@@ -186,10 +186,7 @@ has its scripts in the page, and Vue compiles templates in the browser."""
 
 
 class AccessGate:
-    """Refuses requests of foreign pages and of clients without access, before a page is made.
-
-    See `companion.web.settings` for the rules.
-    """
+    """Refuses foreign pages and clients without access (`web.settings`) before a page is made."""
 
     def __init__(self, app: Any, access: Access) -> None:
         self._app = app
@@ -201,7 +198,6 @@ class AccessGate:
             refusal = self._refusal(scope)
 
             async def sent(message: Any) -> None:
-                """Add the security headers to an answer."""
                 if message["type"] == "http.response.start":
                     message["headers"] = [*message.get("headers", ()), *HEADERS.items()]
                 await send(message)
@@ -271,7 +267,6 @@ def build_app(
 
     @ui.page(PAGE, title="Companion" if hub.scene.get("replay") is None else "Companion: replay")
     def page(request: Request, token: str | None = None) -> None:
-        """Make the page of one browser."""
         client = "" if request.client is None else request.client.host
         may_press = access.may_control(client, token)
         Page(hub, tile_zooms=zooms, press=press if may_press else None)
@@ -279,7 +274,6 @@ def build_app(
 
     @nicegui.app.exception_handler(404)
     def nothing(_request: Request, _error: Exception) -> PlainTextResponse:
-        """Answer an unknown path."""
         return PlainTextResponse("not found", 404)  # NiceGUI would make a page for each
 
     _add_searched(app, access, hub)
@@ -300,7 +294,6 @@ def _add_searched(app: FastAPI, access: Access, hub: PictureFeed) -> None:
 
     @app.get("/searched.json")
     def searched(request: Request, token: str | None = None) -> Response:
-        """Answer with the map of the searched area."""
         if not _may_view(access, request, token):
             return PlainTextResponse(REFUSED, 403)
         headers = {"cache-control": "no-store"}
@@ -312,7 +305,6 @@ def _add_tiles(app: FastAPI, access: Access, folder: Path) -> None:
 
     @app.get("/tiles/{zoom}/{x}/{y}.png")
     def one(request: Request, zoom: int, x: int, y: int, token: str | None = None) -> Response:
-        """Answer with one tile."""
         if not _may_view(access, request, token):
             return PlainTextResponse(REFUSED, 403)
         return Response(tile(folder, zoom, x, y), media_type="image/png")

@@ -132,11 +132,9 @@ class Geofence:
 def areas_from_items(
     items: Sequence[PlanItem], enu_from_e7: Callable[[int, int], Point]
 ) -> list[Area]:
-    """Return the areas of an uploaded fence, in order; a return point (5000) is skipped.
+    """Return the areas of an uploaded, checked fence; a return point (5000) is skipped.
 
-    Args:
-        items: Whole, as they are checked before they are stored (`plan_rules`).
-        enu_from_e7: Converts latitude and longitude in 1e-7 degrees.
+    `enu_from_e7` converts latitude and longitude in 1e-7 degrees.
     """
     areas: list[Area] = []
     index = 0
@@ -171,10 +169,7 @@ class Occurrence:
 class Aircraft:
     """One multicopter.
 
-    Args:
-        noise_rng: Generator of the reported position's noise, of drift and gusts.
-        first_mission_item: Index of the first mission item that is flown.
-        body: Body that is kept over a restart; None: a new one, at the scenario's start.
+    `noise_rng` is for the reported position, drift and gusts; `body` is kept over a restart.
     """
 
     landed_until_s = -math.inf
@@ -244,11 +239,7 @@ class Aircraft:
         self.texts = [*self.texts[-MAX_TEXTS:], (severity, text)]
 
     def move(self, command_enu_mps: PositionEnu | None, yaw_ned_rad: float | None) -> None:
-        """Move for a physics step; no command means that the motors stand.
-
-        Args:
-            yaw_ned_rad: The wanted heading, as the estimator counts; None keeps the current one.
-        """
+        """Move for a step; without a command motors stand, without a yaw the heading stays."""
         before = self.body.position_enu_m
         if self._gust_rng is not None:
             east, north = self._gust_rng.standard_normal(2).tolist()
@@ -282,10 +273,7 @@ class Aircraft:
         self.origin_changes += 1
 
     def up_from(self, altitude_m: float, frame: int) -> float | None:
-        """Return the height in the world's frame of an altitude in a MAV_FRAME.
-
-        None if it is not one of ours.
-        """
+        """Return the world height of an altitude in a MAV_FRAME; None if the frame is not ours."""
         if frame in AMSL_FRAMES:
             return altitude_m - self.estimator.world_origin.altitude_m
         if frame in RELATIVE_FRAMES:

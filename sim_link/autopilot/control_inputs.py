@@ -96,10 +96,7 @@ def bits_of_no_numbers(message: PositionTarget, position: tuple[float, float, fl
 
 
 def enu_of(x: float, y: float, z: float, heading_rad: float | None) -> tuple[float, float, float]:
-    """Return a vector east, north and up, from forward, right, down of a heading.
-
-    None: of north.
-    """
+    """Return east, north, up of a vector forward, right, down of a heading; None: of north."""
     if heading_rad is None or not (math.isfinite(x) and math.isfinite(y)):
         return (float(y), float(x), -float(z))
     return (*turned(x, y, heading_rad), -float(z))

@@ -69,12 +69,8 @@ STEP_TOLERANCE = 1e-6
 class SimEndpoint:
     """A PX4-like or ArduPilot-like vehicle with a radio payload.
 
-    Args:
-        parameters_name: Name of the stored parameters in errors, usually a file.
-
-    Raises:
-        ConfigError: The scenario or the stored parameters name a parameter that does not exist, or
-            a value that may not be.
+    `ConfigError`: scenario or stored parameters have an unknown parameter or a forbidden value;
+    `parameters_name` is the stored ones' name in it.
     """
 
     def __init__(

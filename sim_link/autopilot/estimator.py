@@ -249,10 +249,7 @@ class Estimator:
 
     @property
     def reported_accuracy_m(self) -> tuple[float, float]:
-        """Horizontal and vertical accuracy that it reports, one sigma; 0: unknown.
-
-        Without configured errors it is an RTK receiver with white noise.
-        """
+        """Reported horizontal and vertical sigma; 0: unknown. By default of white RTK noise."""
         ratio, noise_m = self.navigation.reported_ratio, self._noise_m
         if not self.navigation.reports_accuracy:
             return (0.0, 0.0)

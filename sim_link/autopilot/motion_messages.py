@@ -142,10 +142,7 @@ def gps_raw_int(vehicle: SimVehicle) -> Fields:
 
 
 def gps2_raw(vehicle: SimVehicle) -> Fields | None:
-    """Return the second receiver, which sees the same satellites as the first one.
-
-    None where it is not fitted.
-    """
+    """Return the second receiver, with the same satellites; None where it is not fitted."""
     has_fix = vehicle.estimator.receiver_has_fix(1)
     if has_fix is None:
         return None

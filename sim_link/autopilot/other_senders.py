@@ -207,11 +207,7 @@ class _Pose(NamedTuple):
 
 
 class RadioPayload:
-    """Measures at a fixed rate while the vehicle is high and near enough.
-
-    Args:
-        environment: The obstacles between the two; None if there are none.
-    """
+    """Measures at a fixed rate while the vehicle is near and high enough, past any obstacles."""
 
     def __init__(
         self,

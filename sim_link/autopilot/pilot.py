@@ -122,10 +122,7 @@ class Pilot:
     def command(
         self, setpoint: Setpoint, leg: MissionLeg | None, sticks: Sticks | None, body: Kinematics
     ) -> PositionEnu:
-        """Return the velocity that the task wants now, local east-north-up.
-
-        None, where a parameter that is not a number makes nonsense of it.
-        """
+        """Return the wanted velocity, local east-north-up; None if a parameter is not a number."""
         self._leg, self.goal_enu_m = leg, None
         if self._holds_the_ground and body.is_on_ground:
             self._stay(body)
@@ -164,10 +161,7 @@ class Pilot:
     def yaw_ned_rad(
         self, setpoint: Setpoint, sticks: Sticks | None, heading_rad: float
     ) -> float | None:
-        """Return the heading that the task wants, clockwise from north.
-
-        None keeps the current one.
-        """
+        """Return the wanted heading, clockwise from north; None keeps the current one."""
         match self.task:
             case Task.FOLLOW:
                 if setpoint.yaw_ned_rad is None and setpoint.yaw_rate_ned_radps is not None:

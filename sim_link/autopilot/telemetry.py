@@ -198,10 +198,7 @@ def ekf_status_report(vehicle: SimVehicle) -> Fields:
 
 
 def rc_channels(vehicle: SimVehicle) -> Fields | None:
-    """Return roll, pitch, throttle and yaw.
-
-    None without a transmitter or pulses of its receiver.
-    """
+    """Return roll, pitch, throttle and yaw; None without a transmitter or its receiver's pulses."""
     sticks = vehicle.sticks.pulses(vehicle.time_s)
     if sticks is None:
         return None

@@ -64,11 +64,7 @@ FLAVOURS: dict[FlavourName, FlavourParts] = {
 
 
 class SimVehicle:
-    """One multicopter with its autopilot; arguments as of `Aircraft`.
-
-    Raises:
-        ConfigError: The scenario sets an unknown parameter, or a value out of range.
-    """
+    """One multicopter with its autopilot, as `Aircraft`; `ConfigError`: a parameter is wrong."""
 
     def __init__(
         self, scenario: Scenario, noise_rng: np.random.Generator, body: PointMass | None = None

@@ -198,10 +198,7 @@ def uudf_line(tag: str, azimuth_deg: int, elevation_deg: int, rssi_dbm: int, tai
 
 
 class Uudf(LineEmulator):
-    """A C209 board: whole degrees about its upright to the right, and upwards; no range.
-
-    An unknown elevation is sent as 0.
-    """
+    """A C209 board: whole degrees about its upright, right and up (0: unknown); no range."""
 
     name = "uudf"
     title = "u-blox C209 and ANNA-B4, +UUDF"
@@ -227,10 +224,7 @@ class Uudf(LineEmulator):
 
 
 def turned_rad(answer: Answer) -> float:
-    """Return the azimuth about the board's upright.
-
-    The third direction component follows from the two arcsines.
-    """
+    """Return the azimuth about the upright; the third component follows from the two arcsines."""
     azimuth_rad, heard = answer.azimuth_rad or 0.0, answer.heard
     if heard is None or not heard.is_array_angle:
         return azimuth_rad

@@ -92,9 +92,7 @@ class Round:
 class Emulator(ABC):
     """One radio that is switched on.
 
-    Args:
-        clock_s: Reading of the radio's own clock at the vehicle's second 0.
-        rng: Generator of values that the radio invents; never of a measurement.
+    `clock_s` is its clock at the vehicle's second 0; `rng` is for invented values only.
     """
 
     name: ClassVar[str]

@@ -33,10 +33,7 @@ def uci_record(
     elevation: tuple[float | None, int] = (None, 0),
     rssi_dbm: float = 0.0,
 ) -> bytes:
-    """Return one peer of a session with short addresses: 31 bytes.
-
-    An angle is in degrees, with its figure of merit; one of 0 means no angle.
-    """
+    """Return a peer of a session, 31 bytes; angles in degrees with a figure of merit, 0: none."""
     head = struct.pack("<HBBH", address, status, path, distance_cm)
     tail = bytes((1, clamped(-2.0 * rssi_dbm, 0, 255)))
     return head + fom_angle(*azimuth) + fom_angle(*elevation) + bytes(6) + tail + bytes(11)

@@ -89,10 +89,7 @@ def pytest_runtest_call(item: pytest.Item) -> None:
 def fly_marked(
     marker: pytest.Mark, folder: Path, flavour: FlavourName | None = None
 ) -> MissionResult:
-    """Return the flight that a marker asks for, of one of its autopilots.
-
-    A wrong one fails the test.
-    """
+    """Return the flight of a marker, of one of its autopilots; a wrong marker fails the test."""
     from sim_link.lab.mission.in_memory import fly_in_memory
 
     mission, seed, path = _or_fail(lambda: _wanted(marker, folder, flavour))
@@ -130,7 +127,6 @@ def _arguments_of(marker: pytest.Mark) -> tuple[str, object, object]:
     def mission(
         script: str, seed: object = 0, autopilot: object = None
     ) -> tuple[str, object, object]:
-        """Return the arguments of the marker, as Python binds them."""
         return script, seed, autopilot
 
     mission.__qualname__ = MARKER  # what Python calls it where arguments are missing
@@ -211,7 +207,6 @@ def _vehicle_options(marker: pytest.Mark, folder: Path) -> list[str]:
         autopilot: object = None,
         speed: object = None,
     ) -> dict[str, object]:
-        """Return the arguments of the marker by their names."""
         path = None if scenario is None else folder / str(scenario)
         return {"scenario": path, "seed": seed, "autopilot": autopilot, "speed": speed}
 
@@ -228,7 +223,6 @@ def companion_process(tmp_path: Path) -> Iterator[StartCompanion]:
     started: list[ChildProcess] = []
 
     def start(*arguments: str) -> ChildProcess:
-        """Start a companion with these arguments, and stop it after the test."""
         if not any(text.startswith("--config") for text in arguments):
             arguments = ("--config", str(_default_config(tmp_path)), *arguments)
         log = tmp_path / f"companion{len(started) or ''}.log"

@@ -431,7 +431,6 @@ def _hints(
     said = ""
 
     def check(now_s: float) -> None:
-        """Print the state of the vehicle's link if it changed."""
         nonlocal said
         text = said
         if follower.is_following:

@@ -144,11 +144,7 @@ class _Moment(NamedTuple):
 
 
 class FieldRadio(RadioChannel):
-    """Measures emitters as a radio on a moving, leaning vehicle does.
-
-    Args:
-        rng: Generator as in `RadioChannel`; further draws come from a child of it.
-    """
+    """Measures emitters as a radio on a moving, leaning vehicle does; draws as `RadioChannel`."""
 
     def __init__(
         self,
@@ -174,10 +170,7 @@ class FieldRadio(RadioChannel):
     def hear(
         self, emitter: Emitter, position: PositionEnu, time_s: float, attitude: EulerAngles = LEVEL
     ) -> RangingMeasurement | None:
-        """Return one measurement of `emitter` from a position, local east, north, up.
-
-        None if it is lost.
-        """
+        """Return a measurement of `emitter` from a position, local east, north, up; None: lost."""
         params = in_the_field(self._params_of(emitter))
         is_plain = self._antenna.kind == "ideal" and self._measures == "both"
         if is_plain and params.is_as_in_the_paper:

@@ -206,10 +206,7 @@ class Printed(NamedTuple):
 
 
 def direction_enu(sensor_enu_m: PositionEnu, target_enu_m: PositionEnu) -> Components:
-    """Return the unit vector from sensor to target, east, north, up.
-
-    Straight up where they coincide.
-    """
+    """Return the unit vector from sensor to target, east, north, up; straight up at it."""
     e, n, u = (t - s for t, s in zip(target_enu_m, sensor_enu_m, strict=True))
     length = math.sqrt(e * e + n * n + u * u)
     return (e / length, n / length, u / length) if length > 0.0 else (0.0, 0.0, 1.0)
@@ -260,12 +257,9 @@ def seen_by_antenna(
 def printed(
     u: Components, params: AntennaModelParams, sigma_rad: float, normals: Components
 ) -> Printed | None:
-    """Return the angles that the radio prints for a direction in its frame; None: nothing.
+    """Return the angles printed for a unit vector along boresight, right and down; None: nothing.
 
-    Args:
-        u: Unit vector along boresight, right and down.
-        sigma_rad: Standard deviation of each measured component.
-        normals: Standard normals, of the components.
+    Standard normals times `sigma_rad` are added to the measured components.
     """
     x, y, z = u
     is_flat = params.kind == "planar"

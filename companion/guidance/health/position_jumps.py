@@ -80,11 +80,9 @@ def _unexplained_m(before: VehicleState, after: VehicleState, dt_s: float) -> Po
 def position_jump_m(
     before: VehicleState, after: VehicleState, noise_m: float = 0.0, dt_s: float | None = None
 ) -> PositionEnu | None:
-    """Return the distance of a report from a reachable position, ENU metres; None: no jump.
+    """Return a report's distance from a reachable position, ENU metres; None: no jump.
 
-    Args:
-        noise_m: Usual step less velocities between reports, per axis, one sigma.
-        dt_s: Time between them; None: by their stamps.
+    `noise_m` is the usual step per axis, one sigma; `dt_s` is by default that of the stamps.
     """
     dt_s = after.time_s - before.time_s if dt_s is None else dt_s
     jump = _unexplained_m(before, after, dt_s)
@@ -235,10 +233,7 @@ class JumpWatch(Watch):
         self._hold(text, before_s, event.time_s)
 
     def take_origin(self, event: OriginSet) -> bool:
-        """Return True if the local frame moved with its origin; move all positions in it along.
-
-        To a frame that is far away nothing is moved.
-        """
+        """Return True if the local frame moved, and positions with it unless it went far away."""
         context, frame = self._context, self._context.vehicle.frame
         step_m = context.vehicle.origin_step_m(event.origin)
         if frame is None or step_m <= ORIGIN_STEP_M:

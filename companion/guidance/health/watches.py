@@ -269,10 +269,7 @@ class FenceWatch(Watch):
             self._context.warn("the autopilot's fence changed: reading it again")
 
     def step(self, now_s: float) -> Finding | None:
-        """Update the fence with home and control; hold while it is unknown or cannot be kept.
-
-        Hand back when that lasts.
-        """
+        """Update the fence with home and control; hold without one, and hand back if that lasts."""
         context, vehicle, fencing = self._context, self._context.vehicle, self._context.fencing
         home_enu_m = vehicle.reported_home_enu_m
         if home_enu_m is not None and home_enu_m[:2] != fencing.home_enu_m:

@@ -73,10 +73,7 @@ class Link(ABC):
 
     @abstractmethod
     async def open(self) -> None:
-        """Start listening or connecting.
-
-        Raises a `LinkError` if this configuration can never work.
-        """
+        """Start listening or connecting; `LinkError`: this configuration can never work."""
 
     @property
     def is_open(self) -> bool:
@@ -84,18 +81,12 @@ class Link(ABC):
         return True
 
     def send(self, chunk: Chunk) -> None:
-        """Send now or count the failure; never raises and never waits.
-
-        This base class only counts.
-        """
+        """Send now or count the failure; never raises, never waits. This base class only counts."""
         del chunk
         self.counters.dropped += 1
 
     def hear_only(self, peer: Address | None) -> None:
-        """Let the kernel drop datagrams of other peers than `peer`, if it can.
-
-        None lifts the filter.
-        """
+        """Let the kernel drop datagrams of other peers than `peer`, if it can; None: of none."""
         del peer  # only UDP receives from unknown peers
 
     @abstractmethod

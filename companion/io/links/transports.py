@@ -331,7 +331,6 @@ def radio_link(setup: RadioSetup, url: str, *, is_probed: bool = False) -> Fligh
         raise ConfigError(f"radio {setup.kind.name}: poll_s: nothing is polled at {url}; {asks}")
 
     def greeted(index: int, received: Received) -> Link:
-        """Return the link, which sends the radio's greeting and reports when the radio is gone."""
         link = make(index, received)
         link.greeting, link.signals_loss = greeting, True
         link.request, link.request_period_s = request, setup.settings.poll_s or poll.period_s

@@ -236,10 +236,7 @@ class UdpLink(Link):
         """Note the sender of a datagram."""
 
     def hear_only(self, peer: Address | None) -> None:
-        """Let the kernel drop datagrams of other peers.
-
-        Called often, so it acts on changes only.
-        """
+        """Let the kernel drop datagrams of other peers; called often, it acts on changes only."""
         if peer == self._sole_peer or self._socket is None:
             return
         self._sole_peer = peer
@@ -353,12 +350,10 @@ async def resolve(name: str, host: str, port: int) -> Address:
     answer: asyncio.Future[str | None] = loop.create_future()
 
     def settle(address: str | None) -> None:
-        """Set the result, unless the caller has stopped waiting."""
         if not answer.done():
             answer.set_result(address)
 
     def look_up() -> None:
-        """Look up the name in its thread, and settle the result in the loop."""
         try:
             address = socket.gethostbyname(host)
         except (OSError, UnicodeError):

@@ -116,11 +116,8 @@ class Lateness(Enum):
 class OffsetFilter:
     """Kalman filter of two states for offset and rate of a clock, from exchanges of times.
 
-    Args:
-        offset_s: Our time minus the other's at the first exchange.
-        at_s: Time of that exchange, on our clock.
-        sigma_s: Standard deviation of that exchange.
-        before: Filter of the same clock before it slipped, which did not change its rate.
+    `offset_s` is our time minus the other's at the first exchange, `at_s` on our clock, with its
+    standard deviation; `before` is the filter before the clock slipped, which kept its rate.
     """
 
     def __init__(

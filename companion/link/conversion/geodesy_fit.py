@@ -66,11 +66,7 @@ class _Line:
 
 
 class GeodesyFit:
-    """Comparison of the positions of one autopilot about one origin.
-
-    Args:
-        reported: The origin as the autopilot reports it.
-    """
+    """Comparison of an autopilot's positions about the origin that it `reported`."""
 
     def __init__(self, reported: LocalOrigin) -> None:
         self.reported = reported

@@ -106,12 +106,9 @@ class _NewClock:
 
 
 class Timebase:
-    """Converter of the stamps of one sender's clock.
+    """Converter of the stamps of one sender's clock, at a `rate` if that is known.
 
-    Args:
-        rate: If it is known better than by arrival.
-        offset_s: Local minus remote time, with the shortest delay; None: by the first stamp.
-        now_s: Time of that offset.
+    `offset_s` is local minus remote time at `now_s`, with the shortest delay.
     """
 
     def __init__(
@@ -279,11 +276,7 @@ class SenderClock:
     def read(
         self, remote_s: float, now_s: float, *, late_confirm_s: float = LATE_CONFIRM_S
     ) -> StampReading:
-        """Return the local time of a remote stamp that arrived at `now_s`, both in seconds.
-
-        Args:
-            late_confirm_s: Time for which stamps must be late before they count as a new clock.
-        """
+        """Return the local time, s, of a stamp; one late for `late_confirm_s` is of a new clock."""
         reading = self.timebase.read(remote_s, now_s)
         if reading.step is not ClockStep.NONE:
             self._gains.clear()
@@ -317,11 +310,7 @@ LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Late
 
 
 class VehicleClock:
-    """The autopilot's clock: by the arrival of its stamps and, better, by the exchange of times.
-
-    Args:
-        sync: The exchange; may be with another clock.
-    """
+    """The autopilot's clock: by its stamps' arrival, and by exchange, if of the same clock."""
 
     def __init__(self, sync: ClockSync) -> None:
         self.sync = sync
@@ -341,11 +330,7 @@ class VehicleClock:
         """Time of the latest reported slip."""
 
     def offset_at_s(self, now_s: float) -> float | None:
-        """Return local time minus the autopilot's at a local time; None before its first stamp.
-
-        By arrival it is too large by the shortest delay. The exchange of times measures that delay,
-        and is used if one way takes no longer than both: otherwise it is with another clock.
-        """
+        """Return local minus autopilot time; by exchange where its one way is shorter than both."""
         by_arrival_s = self._stamps.timebase.offset_at_s(now_s)
         exchange = self.sync.filter
         if by_arrival_s is None or exchange is None:

@@ -153,10 +153,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return None if is_down else "Throttle (RC3) is not neutral"
 
     def fence_margin_m(self, position: PositionEnu) -> float:
-        """Return the distance to the nearest breach, negative in one.
-
-        Infinite while the fence is off.
-        """
+        """Return the distance to the nearest breach, negative in one, infinite while it is off."""
         value, home = self.parameters, self.aircraft.home_enu_m
         parts = int(value["FENCE_TYPE"]) if value["FENCE_ENABLE"] else 0
         margin = math.inf

@@ -82,10 +82,7 @@ class Command:
     """Command number in the ACK, if it differs from the command's own."""
 
     def whole(self, number: int, default: int | None = None) -> int | None:
-        """Return the parameter of this number, from 1, which must be a whole number.
-
-        None if it is not, `default` if it is NaN.
-        """
+        """Return a parameter by number, from 1; None if it is not whole, `default` if NaN."""
         value = self.params[number - 1]
         if math.isnan(value):
             return default
@@ -192,10 +189,7 @@ class Commands:
     def answer(
         self, command: Command, result: int, now_s: float, *, progress: int = UNKNOWN_PROGRESS
     ) -> Outgoing:
-        """Return the ACK of a command.
-
-        The result IN_PROGRESS leaves it open, with its progress in percent.
-        """
+        """Return the ACK of a command; IN_PROGRESS, with its percentage, leaves it open."""
         if result == CommandResult.IN_PROGRESS:
             if command.number in self._running or len(self._running) < MAX_RUNNING:
                 self._running[command.number] = _Running(command, progress)
@@ -289,11 +283,7 @@ class StampClock:
         self._rate = 1.0
 
     def read_s(self, now_s: float) -> float:
-        """Return the reading of the clock, s; never less than 0.
-
-        Args:
-            now_s: True seconds since boot.
-        """
+        """Return the reading of the clock at true seconds since boot, s; never less than 0."""
         while self._rates and self._rates[-1][0] <= now_s:
             from_s, rate = self._rates.pop()
             self._set(from_s, rate)
@@ -327,18 +317,10 @@ class _Question:
 class Clocks:
     """Answers for one vehicle.
 
-    ArduPilot stamps a request by when its first byte would have come over a UART: it dates the
-    arrival back by the request and by everything that waits behind it in the buffer, at the baud
-    rate of the port, also where that is a socket.
-
-    Args:
-        clock: The vehicle's clock at a time since boot.
-        names_targets: True if a TIMESYNC answer names the requester, as the guide wants;
-            ArduPilot sends the older form without targets.
-        dated_back_baud: Baud rate by which answers are dated back; None if they are not.
-
-    Source: ArduPilot 4.5, `GCS_MAVLINK::timesync_receive_timestamp_ns` and AP_HAL_SITL
-    `UARTDriver::receive_time_constraint_us`.
+    ArduPilot dates a request's arrival back by the request and all that waits behind it in the
+    buffer, at `dated_back_baud`, also of a socket; it sends the older TIMESYNC answer, which does
+    not name the requester. Source: ArduPilot 4.5, `GCS_MAVLINK::timesync_receive_timestamp_ns` and
+    AP_HAL_SITL `UARTDriver::receive_time_constraint_us`.
     """
 
     def __init__(
@@ -402,10 +384,7 @@ class Clocks:
         return TargetedTimesync(own_ns, request.ts1, *partner.ids)
 
     def ping(self, message: Message, partner: Partner, _now_s: float = 0.0) -> Message | None:
-        """Return the answer to a PING request.
-
-        None for a PING with a target, which is an answer.
-        """
+        """Return the answer to a PING request; None for one with a target, which is an answer."""
         if not self._answers_ping or not isinstance(message, mavlink.MAVLink_ping_message):
             return None
         if message.target_system != 0 or message.target_component != 0:

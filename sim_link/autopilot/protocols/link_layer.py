@@ -87,10 +87,7 @@ class WireVersion:
         """True if frames are sent in MAVLink 1."""
 
     def split_off(self) -> WireVersion:
-        """Return the version of a peer that leaves the shared link.
-
-        What was heard so far was its own.
-        """
+        """Return the version of a peer that leaves the shared link: what it was heard with."""
         other = WireVersion()
         other._is_settled, other.is_mavlink1 = self._is_settled, self.is_mavlink1
         if self.is_mavlink1:
@@ -211,11 +208,7 @@ NO_SECURITY = LinkSecurity()
 
 
 class LinkLayer:
-    """All links of one vehicle; of its components the autopilot is the first.
-
-    Args:
-        dialect: Ids of the messages that it can take for frames; None: of all.
-    """
+    """All links of a vehicle, the autopilot first; `dialect` are the ids it can take, None: all."""
 
     def __init__(
         self,

@@ -120,10 +120,7 @@ class StreamTable:
         return round(US_PER_S * stream.interval_s)
 
     def set_interval_us(self, number: int, interval_us: float, now_s: float) -> bool:
-        """Change a stream, which is then due at once; return False if anything is invalid.
-
-        -1 stops it, 0 restores its default.
-        """
+        """Change a stream, due at once (-1 stops it, 0: default); False if a value is invalid."""
         if not self.can_change(number):
             return False
         if interval_us == DEFAULT:

@@ -78,10 +78,7 @@ ItemMessage = mavlink.MAVLink_mission_item_int_message | mavlink.MAVLink_mission
 
 
 def item_from(message: ItemMessage) -> PlanItem | PlanResult:
-    """Return the item that a message carries, not yet checked.
-
-    Or the reason why its position cannot be integers.
-    """
+    """Return the unchecked item of a message, or why its position cannot be integers."""
     params = (message.param1, message.param2, message.param3, message.param4)
     if isinstance(message, mavlink.MAVLink_mission_item_int_message):
         x, y = message.x, message.y

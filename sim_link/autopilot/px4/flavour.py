@@ -319,10 +319,7 @@ class Px4Flavour(AutopilotFlavour):
         super().settle(now_s, why)
 
     def _sticks_override(self) -> bool:
-        """Return True if moved sticks end the mode.
-
-        A failsafe that waits in Hold ignores sticks.
-        """
+        """Return True if moved sticks end the mode; a failsafe that waits in Hold ignores them."""
         if self._failsafes.delay_s > 0.0:
             return False
         bits = int(self.parameters["COM_RC_OVERRIDE"])

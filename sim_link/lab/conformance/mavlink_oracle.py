@@ -160,10 +160,7 @@ def build_raw(message_id: int, payload: bytes, crc_extra: int, spec: FrameSpec) 
 
 
 def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
-    """Return a frame built with `incompat` 1, completed by its signature.
-
-    Timestamps are as in signing.
-    """
+    """Return a frame built with `incompat` 1, signed, with timestamps as in signing."""
     tail = bytes((link_id,)) + timestamp.to_bytes(6, "little")
     return frame + tail + hashlib.sha256(key + frame + tail).digest()[:6]
 
@@ -187,10 +184,7 @@ def signature_of(frame: bytes, key: bytes) -> Signature | None:
 
 
 def cut(data: bytes) -> list[bytes]:
-    """Return the frames that bytes consist of, by the lengths in their headers.
-
-    The rest is left out.
-    """
+    """Return the frames in bytes, by the lengths in their headers, without the rest."""
     frames = []
     start = 0
     while start + HEADER_LENGTH[MAGIC_V1] <= len(data):

@@ -110,7 +110,6 @@ class ParameterClient(VehicleProbe):
         cursor = self.asked
 
         def is_complete() -> bool:
-            """Return True once every index has been received."""
             nonlocal cursor
             values = self.values_since(cursor)
             cursor = self.mark

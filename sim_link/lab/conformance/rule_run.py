@@ -112,12 +112,7 @@ class RunOptions:
 
 
 class RuleRun:
-    """Tries rules over a link.
-
-    Args:
-        show: Called with each outcome as it comes.
-        report: Called with the cause of each wait.
-    """
+    """Tries rules over a link; `show` gets each outcome, `report` the cause of each wait."""
 
     def __init__(
         self,
@@ -212,10 +207,7 @@ class RuleRun:
         return outcome
 
     def _attached(self, kind: type[Any]) -> Any:
-        """Return a probe that hears the peer, which is put in order if that is due.
-
-        `NotApplicable`: it stays silent.
-        """
+        """Return a probe that hears the peer, put in order if due; `NotApplicable`: silence."""
         probe = self._probe(kind)
         try:
             probe.attach()

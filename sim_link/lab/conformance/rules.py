@@ -130,10 +130,7 @@ class Rule:
         return [*flags, HARM_FLAG] if self.harms else flags
 
     def deviation(self, flavour: Flavour) -> str:
-        """Return the known deviation of the real autopilot, with its version.
-
-        Empty: it keeps the rule.
-        """
+        """Return the real autopilot's known deviation, with its version; empty: it has none."""
         notes = autopilot_notes()[flavour]
         text = notes.deviates.get(self.rule_id)
         return f"{flavour.value} {notes.version}: {text}" if text else ""
@@ -168,13 +165,9 @@ class RuleBook:
         flavours: frozenset[Flavour] | None = None,
         harms: bool = False,
     ) -> Callable[[Probe], Probe]:
-        """Make the decorated method a rule, named as it is and stated by its docstring.
-
-        `source` is the page, file or measurement that it comes from.
-        """
+        """Make the method a rule, named as it is, stated by its docstring and found in `source`."""
 
         def register(probe: Probe) -> Probe:
-            """Add the method to the book as a rule, and return it unchanged."""
             rule = Rule(
                 rule_id=f"{self._group}.{probe.__name__}",
                 statement=(probe.__doc__ or "").strip().partition("\n")[0],

@@ -182,7 +182,6 @@ class Station:
         self._tasks.append(task)
 
         def stop() -> None:
-            """Stop sending the message."""
             if task in self._tasks:
                 self._tasks.remove(task)
 
@@ -259,7 +258,6 @@ class Station:
         cursor = self.mark if mark is None else mark
 
         def is_there() -> bool:
-            """Return True once such a message is in the inbox."""
             nonlocal cursor
             while cursor < len(self.inbox) and not found:
                 message = self.inbox[cursor].message

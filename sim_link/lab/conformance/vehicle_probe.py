@@ -329,7 +329,6 @@ class VehicleProbe(Station):
         mark = self.asked
 
         def has_position() -> bool:
-            """Return True if a local position came since the request."""
             return any(isinstance(e.message, mav.LocalPosition) for e in self.inbox[mark:])
 
         self.run_until(lambda: has_position() or self._is_silent(), SHORT_LOOK_S)
@@ -371,7 +370,6 @@ class VehicleProbe(Station):
         """Advance the time until it can be armed or is silent; return True if it can."""
 
         def can_arm() -> bool:
-            """Return True if the newest SYS_STATUS reports that it is ready."""
             status = self._newest(mav.SysStatus)
             return status is not None and is_ready(status)
 

@@ -161,10 +161,7 @@ _READER = MavCodec(9, 9)
 
 
 def rewrite_frame(frame: bytes, change: Callable[[Any], None], key: SigningKey | None) -> bytes:
-    """Return the frame after a change of its fields; unchanged if it cannot be read.
-
-    With the key signed frames are signed again; without it they stay unchanged.
-    """
+    """Return the frame with changed fields, signed again with the key; unreadable: unchanged."""
     if is_signed(frame) and key is None:
         return frame
     message = _READER.decode_frame(frame)

@@ -112,10 +112,7 @@ def _phrase(kind: str, fields: Mapping[str, object]) -> str:
 
 
 def invariants_of(record: FlightRecord) -> list[tuple[str, str, int | None, str]]:
-    """Return every invariant: name, title, how often it did not hold, how far that was judged.
-
-    None if it was not judged; the last text is then the reason.
-    """
+    """Return every invariant's name, title, count and extent, or None and why it was not judged."""
     counts = Counter(violated.invariant for violated in record.violations)
     scope = record.scope
     return [
@@ -233,10 +230,7 @@ class MissionBatch:
     connect: str | None = None
 
     def tasks(self) -> list[FlightTask]:
-        """Return every flight, checked as well as possible without flying.
-
-        CompanionError: one is wrong.
-        """
+        """Return every flight, checked as far as the ground allows; `CompanionError`: wrong."""
         loaded = [(str(path), mission) for path in self.files for mission in self._load(path)]
         for file, mission in loaded:
             if not mission.misfit(mission.autopilot.flavour):

@@ -276,7 +276,6 @@ def _comparison(node: ast.Compare) -> _Part:
         return _Part(Kind.TRUTH, getters[0], node)
 
     def get(situation: FlightSituation) -> Value:
-        """Return True if every pair compares as stated; None: unknown."""
         values = [getter(situation) for getter in getters]
         if False in values:
             return False

@@ -329,10 +329,7 @@ class EventTail:
         self._rest = b""
 
     def look_for_flight(self) -> bool:
-        """Return True if a new flight has begun since the last call.
-
-        Its log is read from now on.
-        """
+        """Return True if a new flight began since the last call; its log is read from now on."""
         for path in sorted(self._root.glob(LOGS)):
             if path not in self._seen:
                 self._seen.add(path)

@@ -282,7 +282,6 @@ def _is_flown(
 ) -> bool:
 
     def done(position: int, result: MissionResult) -> None:
-        """Keep a result, and show it."""
         results[position] = result
         progress.finished(result)
 

@@ -54,10 +54,7 @@ class Bound(Params, frozen=True):
 
 
 def _one_given(record: Params, what: str) -> str:
-    """Return the one key of a record that is given, besides its name.
-
-    `ValueError`: not exactly one is.
-    """
+    """Return the one key of a record besides its name; `ValueError`: not exactly one is given."""
     names = [name for name in record.__struct_fields__ if name != "name"]
     given = [name for name in names if getattr(record, name) is not UNSET]
     if len(given) != 1:

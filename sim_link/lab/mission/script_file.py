@@ -52,10 +52,7 @@ def load_mission(path: Path) -> Mission:
 
 
 def parse_mission(text: str, name: str, folder: Path = Path()) -> Mission:
-    """Return the mission in YAML text.
-
-    Files that it names are in the folder, errors call it by name.
-    """
+    """Return the mission in YAML text called `name`; files that it names are in the folder."""
     try:
         mission = parse_yaml(text, Mission, name, lambda raw: _renew(raw, name, folder))
     except ConfigError as error:

@@ -61,10 +61,7 @@ ROUNDING_S = 1e-9
 
 
 class StepRunner:
-    """Flies one mission by an operator; `inject` begins a fault `start_s` from now.
-
-    The situation of the record is kept up to date by the caller.
-    """
+    """Flies a mission in the situation that its caller updates; `inject` begins faults later."""
 
     def __init__(
         self,

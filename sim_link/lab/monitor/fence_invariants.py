@@ -47,10 +47,7 @@ class OwnJumps:
             self._seemed = None
 
     def chased_m(self, setpoint: SentSetpoint) -> float | None:
-        """Return the distance of a setpoint from the apparent vehicle position, m.
-
-        None if free to move.
-        """
+        """Return a setpoint's distance from the apparent vehicle position, m; None: it is free."""
         observed = self._scene.observed.position_enu_m
         if self._seemed is None or observed is None or self._scene.is_lied_to:
             return None

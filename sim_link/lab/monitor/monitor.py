@@ -95,10 +95,7 @@ WIRE = Scope(
 
 
 class FrameMonitor(Observer):
-    """Shows a flight to invariants, by its frames, its journal and the companion's process.
-
-    The key is that of the link, where it is signed.
-    """
+    """Shows invariants a flight: frames, journal and process; with the key of a signed link."""
 
     def __init__(
         self, scene: ObservedScene, invariants: Sequence[Invariant], key: SigningKey | None = None

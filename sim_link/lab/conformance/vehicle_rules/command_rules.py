@@ -235,7 +235,6 @@ class CommandRules(VehicleProbe):
     def _await_end(self, within_s: float = 2.0) -> int:
 
         def is_end(ack: mav.Ack) -> bool:
-            """Return True for the final acknowledgement of the calibration."""
             return bool(ack.command == CALIBRATION and ack.result != mav.IN_PROGRESS)
 
         return int(self.expect(mav.Ack, is_end, mark=self.asked, within_s=within_s).result)

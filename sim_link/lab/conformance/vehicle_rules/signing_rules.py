@@ -168,7 +168,6 @@ class SigningRules(FrameProbe):
         stamp = signer.timestamp + 100
 
         def broken(frame: bytes) -> bytes:
-            """Return a signed frame with one bit of its signature changed."""
             done = sign(frame, signer.key, signer.link_id, stamp)
             return done[:-1] + bytes((done[-1] ^ 1,))
 
