@@ -107,7 +107,7 @@ class ProcessParts:
 
     @property
     def checkpoint_writer(self) -> BackgroundReplacer | None:
-        """Return the writer of checkpoints, once one was saved."""
+        """Return the writer of checkpoints; None before the first one was saved."""
         return None if self.store is None else self.store.writer
 
 
@@ -296,7 +296,7 @@ def _address(text: str) -> bytes | None:
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:
-    """Return WATCHDOG_USEC in seconds, if it is meant for this process."""
+    """Return WATCHDOG_USEC in seconds; None if absent, invalid or for another process."""
     microseconds, process = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID")
     if not (microseconds.isascii() and microseconds.isdigit() and int(microseconds) > 0):
         return None
@@ -352,7 +352,7 @@ class Watchdog:
                 self._supervisor.status(text)
 
     def missing(self) -> str | None:
-        """Return the part that did not respond since the last feed, in words, or None."""
+        """Return the name of the part that did not respond since the last feed, or None."""
         if self._timing.fired == self._ticks:
             return "the control tick"
         if not self._parts.journal.health.is_alive:

@@ -205,7 +205,7 @@ DEFAULT_ACCURACY = PositionAccuracy()
 def radii_text(
     absolute_r95_m: float, r95_m: float, own: PositionAccuracy | None = None, *, decimals: int = 1
 ) -> str:
-    """Return both radii in words, the absolute one first, with the accuracy `own` between them."""
+    """Return the text of both radii, the absolute one first, with the accuracy `own` between."""
     absolute, relative = f"{absolute_r95_m:.{decimals}f}", f"{r95_m:.{decimals}f}"
     text = f"R95 {absolute} m absolute, {relative} m relative"
     return text if own is None else f"{text} ({own.words})"

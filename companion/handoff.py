@@ -62,7 +62,7 @@ class Handoff:
 
     @property
     def radii(self) -> str:
-        """Both radii in words, and the GNSS accuracy in the absolute one."""
+        """Text of both radii, and of the GNSS accuracy in the absolute one."""
         return radii_text(self.absolute_r95_m, self.r95_m, self.own)
 
 

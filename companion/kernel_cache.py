@@ -94,7 +94,7 @@ def _digest_of(package: Path, variants: Variants) -> str:
 
 
 def installed() -> tuple[Any, Variants] | None:
-    """Return the kernels that are installed next to the program."""
+    """Return the kernels that are installed with the program; None: none that fit."""
     spec = importlib.util.find_spec(PACKAGE)
     for folder in (spec and spec.submodule_search_locations) or ():
         if (found := load(Path(folder))) is not None:
@@ -116,14 +116,14 @@ def cache_folder() -> Path | None:
 
 
 def _kept_folder() -> Path | None:
-    """Return the folder in the cache for these sources, this Python and kind of processor."""
+    """Return the cache folder for these sources, Python and processor; None without a cache."""
     cache = cache_folder()
     kind = f"{sys.implementation.cache_tag}-{platform.machine()}"
     return None if cache is None else cache / f"ahead-{sources_digest()}-{kind}"
 
 
 def kept() -> tuple[Any, Variants] | None:
-    """Return the kernels in the user's cache, unless another user may have put them there."""
+    """Return the kernels in the user's cache; None if absent or owned by another user."""
     folder = _kept_folder()
     with contextlib.suppress(OSError):
         if folder is not None and folder.stat().st_uid in (0, os.geteuid()):

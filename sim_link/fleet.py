@@ -252,7 +252,7 @@ def _port(port: int) -> int:
 
 
 def numbered_path(path: Path | None, number: int) -> Path | None:
-    """Return the file of vehicle `number`: `report.json`, `report-2.json`, ..."""
+    """Return the file of vehicle `number`, as in `report.json`, `report-2.json`, or None."""
     if path is None or number == 0:
         return path
     return path.with_name(f"{path.stem}-{number + 1}{path.suffix}")

@@ -134,6 +134,6 @@ def progress_lines(total: float, stream: TextIO, clock: Callable[[], float]) -> 
 
 
 def span_text(seconds: float) -> str:
-    """Return a span of time in words."""
+    """Return the text of a duration."""
     whole = round(seconds)
     return f"{whole} s" if whole < 100 else f"{whole // 60} min {whole % 60:02d} s"

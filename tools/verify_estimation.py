@@ -61,7 +61,7 @@ class Figure:
     name: str
     value: float
     limit: str = ""
-    """Requirement in words; empty: reported only."""
+    """Text of the requirement; empty: reported only."""
     is_met: bool | None = None
     """Verdict on the requirement; None if nothing is required of the figure."""
     note: str = ""

@@ -254,7 +254,7 @@ class PlannerConfig(Params, frozen=True):
 
     @property
     def flown(self) -> CrossingKind | PatternKind | None:
-        """Planner during contact: the crossing, or the pattern of a survey."""
+        """Planner during contact: a crossing, or a survey's pattern; None: no pattern is set."""
         return self.search if self.kind == "survey" else self.kind
 
 
@@ -285,7 +285,7 @@ class CompanionConfig(Params, frozen=True):
 
     @property
     def detection(self) -> DetectionModel | None:
-        """`search.detection`, with the reach of the radio's preset where it has none."""
+        """`search.detection`, by default with the reach of the radio's preset; None if absent."""
         detection = self.search.detection
         return None if detection is None else detection.model(self.estimation.filter.reach_m)
 

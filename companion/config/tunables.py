@@ -107,7 +107,7 @@ class Tunables:
         return Tuning(config.mission, config.limits.guard_limits(), self._build_planner(config))
 
     def restore(self, values: Mapping[str, float]) -> list[str]:
-        """Restore changes of an earlier run, by name; return the refused ones, in words."""
+        """Restore changes of an earlier run, by name; return the reasons for refused ones."""
         problems: dict[str, str] = {}
         pending = dict(values)
         while pending:

@@ -115,7 +115,7 @@ def _check_ceiling(name: str, settings: Settings) -> Iterator[CheckResult]:
 def _compare_limit(
     name: str, limit_m: float, wanted_m: float, how: tuple[str, str, str]
 ) -> CheckResult:
-    """Compare a limit with our reach; `how`: its reference, our limit in words, another remedy."""
+    """Compare a limit with our reach; `how`: its reference, our limit as text, another remedy."""
     where, ours, instead = how
     if limit_m >= wanted_m:
         return ok(name, f"{limit_m:g} m {where}, {ours}")

@@ -322,7 +322,7 @@ def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
 
 
 def _missing_estimates(facts: AutopilotFacts) -> list[str]:
-    """Return the states that the autopilot does not estimate yet, in words."""
+    """Return the names of the states that the autopilot does not estimate yet."""
     flags = facts.estimator_flags
     if flags is not None:
         return [name for name, bits in NEEDED_ESTIMATES.items() if not flags & bits]

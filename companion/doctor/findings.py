@@ -106,7 +106,7 @@ class FolderFacts:
 
     path: str
     problem: str | None
-    """Reason why the folder cannot be written, in words."""
+    """Reason why the folder cannot be written."""
     free_mb: float | None = None
     synced_write_s: float | None = None
     """Time to write a megabyte to the disk."""

@@ -26,7 +26,7 @@ from companion.kernel import Matrix
 RESTORED_VARIANCE_FACTOR = 2.0
 """Factor on every variance of a restored belief: standard deviations grow by 1.4.
 
-Chosen: the measurements behind it cannot be weighed again; more gives away what was found.
+Chosen: its measurements cannot be re-weighted; more would discard information.
 """
 MAX_HYPOTHESES = 32
 """Maximum number of hypotheses in a checkpoint; a first range gives a ring of 24."""

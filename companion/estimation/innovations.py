@@ -206,12 +206,12 @@ noise better, and follows it later: with 150 R95 of recorded walks changes by up
 all of them by less than 1 %.
 """
 PRIOR_COUNT = 8.0
-"""Weight of the monitor's prior, in measurements: less lets the first innovations decide, more
-delays what they show. With 4, R95 of recorded walks changes by less than 1 %.
+"""Weight of the monitor's prior, in measurements: with less the first innovations dominate, more
+delays the estimate. With 4, R95 of recorded walks changes by less than 1 %.
 """
 MAX_INFLATION = 400.0
-"""Upper limit of the inflation of a variance: 20 times the thermal sigma. A value that is stuck
-would have any; without the limit no recorded walk changes.
+"""Upper limit of the inflation of a variance: 20 times the thermal sigma. A stuck value could cause
+any; without the limit no recorded walk changes.
 """
 NORMAL_975 = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % above it."""
@@ -306,7 +306,7 @@ def mean_band(dof: float, count: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class TrackerHealth:
-    """Indicators of how far an estimate can be trusted."""
+    """Indicators of the trust in an estimate."""
 
     nis: float | None
     """Mean NIS per degree of freedom; 1 is consistent."""

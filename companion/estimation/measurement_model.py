@@ -97,7 +97,7 @@ class RangingModel(NamedTuple):
     """True if variances contain the second-order terms."""
     bearing_inflation: float = 1.0
     """Variance of bearings over thermal noise. The vehicle's position error does not grow with it,
-    so that it counts for less with inflated bearings."""
+    so that its relative effect is smaller with inflated bearings."""
     antenna: int = AZIMUTH
     """`AZIMUTH`, `PLANAR` or `COSINES`."""
     range_share: float = 1.0

@@ -126,7 +126,7 @@ def reject_reason_of(
 
 
 def identity_of(measurement: RangingMeasurement) -> Hashable:
-    """Return what two copies of one measurement share; range and bearing may share a stamp.
+    """Return the key that two copies of a measurement share; range and bearing may share a stamp.
 
     The bearing in ENU is not part of it, because it may be turned by a later yaw in a copy.
     """
@@ -208,7 +208,7 @@ class RecentShare:
         self._window: deque[tuple[float, bool]] = deque()
         self._true_count = 0
         self.share: float | None = None
-        """Share of them; None: too few yet."""
+        """Share of them; None: too few so far."""
         self.is_most = False
         """True if the share exceeds a half."""
 
@@ -322,7 +322,7 @@ class MeasurementScreen:
     def judge(
         self, measurement: RangingMeasurement, sensor_enu_m: PositionEnu, now_s: float
     ) -> Judgement:
-        """Return what of a valid measurement may be used; a body bearing comes with one in ENU."""
+        """Return the usable components of a valid measurement; body bearings have an ENU one."""
         was_plausible = self.objection is None
         range_reason = self._range_reason(measurement, sensor_enu_m, now_s)
         bearing_reason = self._bearing_reason(measurement, sensor_enu_m, now_s)

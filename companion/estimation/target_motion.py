@@ -88,7 +88,7 @@ class MotionWatch:
     def __init__(self, filter_params: FilterParams, localised_r95_m: float) -> None:
         self._is_enabled = filter_params.process_noise_m_per_sqrt_s == 0.0
         self._near_m = 3.0 * localised_r95_m
-        """Largest R95 at which the target is tested; a vaguer one shows nothing."""
+        """Largest R95 at which the target is tested; a larger one reveals no motion."""
         most = 512  # a longest span of 40 s at 12 Hz, and as many as a window has
         self.fresh: deque[Vector] = deque(maxlen=most)
         """Measurements since the test was last due by time, in rows of `map_kernels` that have
@@ -193,7 +193,7 @@ class MotionWatch:
     def _likeliest_motion(
         self, window_map: WindowMap, mean: Vector, own_m: float
     ) -> Steps[TargetMotion | None]:
-        """Return the motion of the shortest span where it is significant, else the likeliest."""
+        """Return the motion of the shortest significant span, else the likeliest, or None."""
         best: TargetMotion | None = None
         for rows in self._spans():
             motion = yield from motion_of(window_map, rows, mean, own_m)
@@ -335,7 +335,7 @@ class _MotionFit:
         return descent - self._information @ state
 
     def is_promising(self, still: Vector) -> bool:
-        """Return True if a first step from rest, with white noise, justifies the second fit."""
+        """Return True if a first step from rest, under white noise, justifies the second fit."""
         scores = self.scores(still)
         A_inverse = np.asarray(np.linalg.inv(curvature(scores) + self._information))
         last = A_inverse[-2:]

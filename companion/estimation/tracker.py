@@ -1,4 +1,4 @@
-"""Tracker of one target: from ranging measurements to an honest estimate.
+"""Tracker of one target: from ranging measurements to a consistent estimate.
 
 The guidance session and the replay share `TargetTracker`. It coordinates its parts: the screen
 rejects implausible measurements (counted, and without touching the filter), the bank runs the
@@ -319,7 +319,7 @@ class TargetTracker:
         self._optimizer.clear()
 
     def move(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float = 0.0) -> None:
-        """Shift all that is known with a jump of the vehicle's navigation, see `hypotheses`.
+        """Shift the whole state with a jump of the vehicle's navigation, see `hypotheses`.
 
         Bearings measured from the heading turn counter-clockwise; north-referenced ones do not. The
         shift is known to `sigma_m` per axis.
@@ -442,7 +442,7 @@ class TargetTracker:
 
     @property
     def health(self) -> TrackerHealth:
-        """Live values of how far the estimate can be trusted."""
+        """Live indicators of the trust in the estimate."""
         observability = None
         if self.hypotheses:
             observability = self._optimizer.observability(self.hypotheses[0].state.mean)

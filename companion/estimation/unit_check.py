@@ -138,7 +138,7 @@ class UnitCheck:
     def __init__(self, params: FilterParams, max_range_m: float) -> None:
         self._params = params
         self._noise2_m2 = max(1e-3, params.step_sigma_m) ** 2
-        """Variance that always counts as unexplained, in the radio's own numbers: no radio resolves
+        """Minimum unexplained variance, in the radio's own numbers: no radio resolves
         a thousandth."""
         angles = 2.0 * math.pi * np.arange(RING_COUNT) / RING_COUNT
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)

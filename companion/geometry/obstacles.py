@@ -268,7 +268,7 @@ def share_in_capsule(
 def _share_in_band(
     value: float, slope: float, low: float, high: float
 ) -> tuple[float, float] | None:
-    """Return the t with low <= value + t slope <= high."""
+    """Return the interval of t with low <= value + t slope <= high; None if it is empty."""
     if slope == 0.0:
         return (-math.inf, math.inf) if low <= value <= high else None
     first, second = (low - value) / slope, (high - value) / slope
@@ -287,7 +287,7 @@ def _both(
 def _share_in_circle(
     se: float, sn: float, de: float, dn: float, radius_m: float
 ) -> tuple[float, float] | None:
-    """Return the t with |s + t d| within a radius."""
+    """Return the interval of t with |s + t d| <= radius; None if it is empty."""
     a, b, c = de * de + dn * dn, se * de + sn * dn, se * se + sn * sn - radius_m * radius_m
     if a == 0.0:
         return (-math.inf, math.inf) if c <= 0.0 else None

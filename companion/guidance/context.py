@@ -4,7 +4,7 @@ Only the context writes its attributes. The other parts read them, and report ev
 components, such as the vehicle view or the guard, are updated directly.
 
 Errors of the estimator and the planner end neither the process nor the control tick: the vehicle
-holds. Three within ten seconds are not an accident, and the vehicle is handed back. The guard is
+holds. After three within ten seconds the vehicle is handed back. The guard is
 not wrapped: without it nothing may be sent, so its error ends the process, and the autopilot's own
 failsafe follows.
 """
@@ -106,7 +106,7 @@ class PassingHold(Watch):
         self._finding, self._until_s, self.is_idle = finding, until_s, False
 
     def step(self, now_s: float) -> Finding | None:
-        """Return the finding until its hold is over."""
+        """Return the finding until its hold is over, then None."""
         self.is_idle = now_s >= self._until_s
         return None if self.is_idle else self._finding
 
@@ -187,7 +187,7 @@ class SessionContext:
         """True if an automatic launch was tried or forbidden."""
         self.finding: Finding | None = None
         self.reasons: Counter[Reason] = Counter()
-        """Number of times that each reason became the worst finding."""
+        """Count of findings that became the worst one, by reason."""
         self._is_stopping = False
         self.finding_messages = FindingMessages()
         self._commands: list[Command] = []
@@ -195,7 +195,7 @@ class SessionContext:
         """True if control began or ended since commands were taken last."""
 
     def _search_prior(self) -> SearchPrior | None:
-        """Return the searched area's information about the emitter, in the current local frame."""
+        """Return the searched area's prior of the emitter in the current frame; None: unknown."""
         return self.searching.prior(self.vehicle.frame)
 
     @property
@@ -247,11 +247,11 @@ class SessionContext:
 
     @property
     def is_launch_wanted(self) -> bool:
-        """True while the vehicle is to take off by itself, and nothing has forbidden it."""
+        """True while an automatic launch is configured, and was neither tried nor forbidden."""
         return self.params.engage == "auto" and not self.has_launched
 
     def begin_launch(self, now_s: float) -> None:
-        """Start the automatic launch, which is tried only once."""
+        """Start the automatic launch; there is only one attempt."""
         self.has_launched = True
         self.launch = Launch(self.params.altitude_m, now_s)
         self.enter(Trigger.LAUNCH, now_s)
@@ -261,7 +261,7 @@ class SessionContext:
         self.has_launched = True
 
     def stop(self, now_s: float) -> bool:
-        """Stop once the vehicle is not ours; return True if it has to be handed back first."""
+        """Stop if the companion has no control; return True if it must hand back first."""
         self._is_stopping = True
         return self.enter(Trigger.STOP, now_s) and self.authority.phase is Phase.HANDBACK
 
@@ -294,7 +294,7 @@ class SessionContext:
         self.send(Record(kind, fields))
 
     def ask_mode(self, mode: FlightMode) -> None:
-        """Ask the autopilot for a mode."""
+        """Request a mode of the autopilot."""
         self.send(SetMode(mode, self.vehicle.is_armed))
 
     def report(self, result: ReportResult) -> None:
@@ -312,7 +312,7 @@ class SessionContext:
         self.estimate = estimate
 
     def shown_estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the estimate for people, whose state does not flicker; see `StateMessages`."""
+        """Return the estimate with the announced state, see `StateMessages`; None without one."""
         if self.estimate is None:
             return None
         return self.states.shown(self.estimate, now_s, self.params.ranging_timeout_s)

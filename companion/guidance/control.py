@@ -144,7 +144,7 @@ class ControlTick:
                 context.warn(f"setpoints stopped: autopilot stays in {mode}; choose a mode")
 
     def _unready(self, now_s: float) -> Finding | None:
-        """Return the inputs that control needs besides those that every flight watches."""
+        """Return a finding about inputs that only control needs, or None."""
         names = missing_inputs(self._context.vehicle, self._context.fencing, now_s)
         if not names:
             return None
@@ -292,7 +292,7 @@ class ControlTick:
 
 
 def _resumed_text(before: Finding | None) -> str:
-    """Return the text for a flight by the plan, after what was announced before."""
+    """Return the text for resuming the plan after the last announced finding."""
     if before is None:
         return "following the plan"
     return f"following the plan again; cleared: {before.text}"

@@ -1,4 +1,4 @@
-"""Control authority: the phase, offboard mode as the operator's choice, and verdicts of watches.
+"""Control authority: phase, the operator's selection of offboard mode, and watch verdicts.
 
 The module decides when offboard mode counts as selected by the operator. It also decides when a
 search is due, when the companion must be silent, and which mode it requests to hand back.
@@ -309,7 +309,7 @@ class Watch:
         """Note the start of control."""
 
     def step(self, now_s: float) -> Finding | None:
-        """Advance to the time of a control tick, in control or not; return the worst finding."""
+        """Advance to a control tick, in control or not; return the worst finding, or None."""
 
 
 def worst(findings: Iterable[Finding | None]) -> Finding | None:

@@ -241,7 +241,7 @@ class EmitterQueue:
     def resume(self, belief: Belief, age_s: float, now_s: float) -> str | None:
         """Restore the estimate of one emitter, which becomes the current one unless it is reported.
 
-        Returns the reason why that is impossible, in words; everything is as before then.
+        Returns None, or the reason why that is impossible; nothing is changed then.
         """
         if self.is_single:
             return self.current.resume(belief, age_s, now_s)

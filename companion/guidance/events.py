@@ -57,7 +57,7 @@ class SessionMemory:
 
     @property
     def problem(self) -> str | None:
-        """Reason why this state is invalid, in words; None if it is valid."""
+        """Reason why this state is invalid; None if it is valid."""
         problems = (_problem(self.origin), _problem(self.fence_anchor))
         return next((problem for problem in problems if problem is not None), None)
 
@@ -75,7 +75,7 @@ def _problem(origin: LocalOrigin | None) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class VehicleMark:
-    """Identity of a vehicle at a moment, by which a restarted companion recognises it."""
+    """Identity of a vehicle at one time, by which a restarted companion recognises it."""
 
     system_id: int
     component_id: int
@@ -111,7 +111,7 @@ class HeartbeatReceived(OrderedEvent):
     """True if the autopilot reports that it can be armed, or is."""
     is_failsafe: bool
     is_terminated: bool = False
-    """True if the motors were stopped for good: kill switch, flight termination."""
+    """True if the motors were stopped permanently: kill switch, flight termination."""
     other_mode: str = ""
     """Name of the mode in the autopilot's tools, for an unknown mode."""
     vehicle_class: VehicleClass = VehicleClass.MULTICOPTER
@@ -268,7 +268,7 @@ class RequestKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RequestAnswered(OrderedEvent):
-    """The autopilot answered a request, or did not within the retries."""
+    """Answer of the autopilot to a request, or its absence after all retries."""
 
     kind: RequestKind
     outcome: Outcome
@@ -296,7 +296,7 @@ class AutopilotFenceRead(Event):
     fence: GeoFence | None = None
     """Fence as downloaded; None without a problem: the autopilot has no fence."""
     problem: str | None = None
-    """Reason why the fence is unknown, in words."""
+    """Reason why the fence is unknown; None if it is known."""
     is_unusable: bool = False
     """True if a fence was downloaded that the guard cannot keep."""
 

@@ -82,7 +82,7 @@ class Fencing:
         self.is_followed = self.plan.policy is not FencePolicy.IGNORE
         """True if changes of the autopilot's fence matter."""
         self.refusal: str | None = None
-        """Reason why there is no fence although all inputs are known, in words."""
+        """Reason why there is no fence although all inputs are known; None if there is none."""
         self.note: str | None = None
         """Remark for the operator about a fence that is kept."""
         self.guard = guard
@@ -133,7 +133,7 @@ class Fencing:
 
     @property
     def words(self) -> str:
-        """The fence in a few words."""
+        """Description of the fence."""
         fence = self.guard.limits.fence
         if fence is None:
             return "none"
@@ -288,7 +288,7 @@ class Fencing:
         self.guard.use(replace(self.plan.limits, fence=usable, envelope=envelope))
 
     def _inside_circle(self, fence: Fence | None) -> Fence | None:
-        """Return the fence clipped to the autopilot's circle around home, if that intersects it."""
+        """Return the fence clipped to the autopilot's circle around home; None: neither is set."""
         radius_m, home = self.fence_limits.radius_m, self.home_enu_m
         if radius_m is None or home is None:
             return fence
@@ -343,7 +343,7 @@ class Fencing:
         return Fence(local.polygon_enu_m, margin_m, keep_outs)
 
     def _strictest(self, fence: Fence | None) -> Fence | None:
-        """Return the intersection of a fence with those of this flight before it."""
+        """Return the intersection of a fence with earlier ones of this flight, or None."""
         others = [each for each in self._flown if self._is_another(each)]
         if fence is None or self._origin is None or not others:
             return fence
@@ -378,7 +378,7 @@ class Fencing:
         )
 
     def _local_fence(self, fence: Fence | None) -> Fence | None:
-        """Return the configured fence in the current frame."""
+        """Return the configured fence in the current frame; None without one."""
         step_m = self._step_m()
         if fence is None or step_m == (0.0, 0.0):
             return fence

@@ -89,7 +89,7 @@ def waiting_record(emitter_id: int, estimate: TargetEstimate) -> Record:
 
 
 def health_fields(tracker: TargetTracker, now_s: float) -> dict[str, object]:
-    """Return measures of trust in the estimate, as live values."""
+    """Return indicators of trust in the estimate as live values."""
     objection, contact = tracker.objection(now_s), tracker.integrity.contact
     return {
         **asdict(tracker.health),
@@ -120,7 +120,7 @@ def result_of(
 ) -> tuple[ReportResult, str]:
     """Return the result of the flight, in degrees where the origin is known, and its text.
 
-    The radius is the absolute one, because the text is for everybody.
+    The radius is the absolute one, because readers may be anywhere on the Earth.
     """
     if origin is None:
         text = f"{head} R95 {estimate.absolute_r95_m:.1f} m"
@@ -195,7 +195,7 @@ REPEAT_AFTER_S = 30.0
 """Shortest time between two texts with the same reason."""
 LOGGED_EVERY_S = 1.0
 SILENT = frozenset({GuardReason.LAGGING, GuardReason.CUT_OFF})
-"""Reasons that come and go with every corner: for the log only."""
+"""Reasons that come and go at every corner, so that they are only logged."""
 
 
 class GuardMessages:
@@ -215,7 +215,7 @@ class GuardMessages:
         ]
 
     def record(self, reasons: tuple[GuardReason, ...], now_s: float) -> list[str] | None:
-        """Return the reasons for the log if they changed and none were logged just now."""
+        """Return the reasons for the log if they changed and are not too frequent, else None."""
         is_soon = self._logged_s is not None and now_s - self._logged_s < LOGGED_EVERY_S
         if reasons == self.logged or is_soon:
             return None
@@ -321,7 +321,7 @@ class AntennaMessages:
 RECORD_PERIOD_S = 1.0
 """Refusals for one reason become a line of the log at most this often, with their number."""
 MANY, MANY_WITHIN_S = 20, 10.0
-"""Number of refusals for one reason within that time that deserves a text."""
+"""Number of refusals for one reason within that time that makes a text due."""
 TEXT_PERIOD_S = 60.0
 HARMLESS = frozenset(
     {

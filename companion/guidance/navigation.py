@@ -1,6 +1,6 @@
-"""Navigation: the planner's answer becomes a waypoint, and this the next guarded setpoint.
+"""Navigation: from the planner's waypoint to the next guarded setpoint.
 
-The flight plan keeps the planner's request and answer, and the texts about it.
+The flight plan keeps the planner's memory and waypoint, and announces their changes.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ class FlightPlan:
         self._altitude_m = altitude_m
         self._announced_outside_s = -math.inf
         self.contact_s = -math.inf
-        """Time of the latest measurement that ranging could be flown by; a single packet at the
-        edge of reception is none."""
+        """Time of the latest usable measurement; a lone packet at the edge of reception is not."""
         self.forget()
 
     def forget(self) -> None:
@@ -233,7 +232,7 @@ class Steering:
 
     @property
     def setpoint_enu_m(self) -> PositionEnu | None:
-        """The setpoint sent last, where the next one begins."""
+        """The setpoint sent last, from which the next one continues; None: none since a reset."""
         return None if self._last is None else self._last.position_enu_m
 
     @property

@@ -75,7 +75,7 @@ PHASE_WORDS = {
     Phase.HANDBACK: "handing the vehicle back",
     Phase.STOPPED: "stopped",
 }
-"""Phases as the operator reads them."""
+"""Names of the phases for the operator."""
 
 
 class Trigger(Enum):

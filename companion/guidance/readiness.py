@@ -112,7 +112,7 @@ REQUIREMENTS = (
 
 
 def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list[str]:
-    """Return the missing inputs in words; a position delayed by a slow link is named as such."""
+    """Return the names of missing inputs; a position delayed by a slow link is named as such."""
     texts = [
         row.text
         for row in REQUIREMENTS

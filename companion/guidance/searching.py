@@ -110,7 +110,7 @@ class Searching:
 
     @property
     def frame(self) -> LocalOrigin | None:
-        """Origin of the frame of the grid."""
+        """Origin of the frame of the grid; None: not known yet."""
         return self._origin
 
     def tick(
@@ -120,7 +120,7 @@ class Searching:
         fence_enu_m: Corners | None,
         progress: Progress,
     ) -> str | None:
-        """Count the time since the last control tick; return a warning about the area, once."""
+        """Count the time since the last control tick; return a warning, once, or None."""
         problem = self._listen(now_s, vehicle, fence_enu_m, progress)
         self.is_over = not self.is_counting and (self._area is None or self._is_final)
         return problem
@@ -195,7 +195,7 @@ class Searching:
         return first.enu_from_geodetic(*frame.geodetic_from_enu(position_enu_m))
 
     def _begin(self, fence_enu_m: Corners | None) -> str | None:
-        """Make the grid; return a text if that is impossible."""
+        """Make the grid; return the reason if that is impossible, else None."""
         detection = self._detection
         if detection is None:
             return None
@@ -251,7 +251,7 @@ class Searching:
             self.state = self._area.state
 
     def end(self, sweeps: int) -> str | None:
-        """Return the reason to end a pattern search, in words; None to continue."""
+        """Return the reason to end a pattern search; None to continue."""
         params = self.params
         if not self.is_counting or not self.is_worth_reporting:
             return None

@@ -49,7 +49,7 @@ class GuidanceStatus:
     time_s: float
     phase: Phase
     detail: str
-    """Reason why it holds or waits, in words."""
+    """Reason why it holds or waits, or the current leg."""
     mode: FlightMode
     is_armed: bool
     is_link_lost: bool
@@ -65,7 +65,7 @@ class GuidanceStatus:
     guard: tuple[str, ...]
     """Reasons for which the guard changed the setpoint."""
     health: TrackerHealth
-    """Measures of trust in the estimate."""
+    """Indicators of trust in the estimate."""
     accepted: int
     refused: Mapping[str, int]
     battery_pct: float | None
@@ -217,7 +217,7 @@ class GuidanceSession:
 
     @property
     def estimate(self) -> TargetEstimate | None:
-        """Estimate after the newest measurement."""
+        """Estimate after the newest measurement; None before the first one."""
         return self.context.estimate
 
     @property

@@ -41,7 +41,7 @@ def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:
 
 
 def mode_text(heartbeat: events.HeartbeatReceived) -> str:
-    """Return the mode of a HEARTBEAT in those words."""
+    """Return the mode of a HEARTBEAT as the autopilot's own tools call it."""
     return mode_name(heartbeat.mode, heartbeat.autopilot, heartbeat.other_mode)
 
 
@@ -157,7 +157,7 @@ class VehicleView:
         """Home that altitudes refer to; its height is frozen in flight."""
         self.reported_home_enu_m: PositionEnu | None = None
         self.identity_problem: str | None = None
-        """Reason why it may be another vehicle than before, or one of two, in words."""
+        """Reason why it may be another vehicle than before, or one of two; None: no doubt."""
         self.battery_pct: float | None = None
         self.landed = LandedState.UNKNOWN
         self._landed_s = -math.inf
@@ -264,7 +264,7 @@ class VehicleView:
 
     @property
     def position_enu_m(self) -> PositionEnu | None:
-        """Latest position."""
+        """Latest position; None before the first one."""
         latest = self.track.latest
         return None if latest is None else latest.position_enu_m
 
@@ -323,7 +323,7 @@ class VehicleView:
 
     @property
     def objection(self) -> str | None:
-        """Reason not to control this vehicle at all: class, autopilot, or doubtful identity."""
+        """Reason not to control this vehicle: class, autopilot, or doubtful identity; or None."""
         vehicle_class = self.vehicle_class
         if vehicle_class is None:
             return self.identity_problem
@@ -340,7 +340,7 @@ class VehicleView:
 
     @property
     def height_m(self) -> float | None:
-        """Height above home."""
+        """Height above home; None without a position or a home."""
         position, home = self.position_enu_m, self.home_enu_m
         return None if position is None or home is None else position[2] - home[2]
 

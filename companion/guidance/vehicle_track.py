@@ -55,7 +55,7 @@ class VehicleTrack:
 
     @property
     def latest_yaw(self) -> tuple[float, float] | None:
-        """Time and value of the newest heading."""
+        """Time and value of the newest heading; None before the first one."""
         if not self._attitudes:
             return None
         time_s, attitude = self._attitudes[-1]
@@ -85,7 +85,7 @@ class VehicleTrack:
         self._distrusted_s = (since_s if is_apart else min(earliest_s, since_s), until_s)
 
     def is_trusted_at(self, time_s: float) -> bool:
-        """Return True if there was no jump about this time."""
+        """Return True if there was no jump around this time."""
         return not self._distrusted_s[0] < time_s < self._distrusted_s[1]
 
     def add(self, state: VehicleState) -> None:
@@ -106,7 +106,7 @@ class VehicleTrack:
             self._attitudes.popleft()
 
     def position_at(self, time_s: float) -> PositionEnu | None:
-        """Return the position at a time, metres; None outside the history, and about a jump.
+        """Return the position at a time, metres; None outside the history, and around a jump.
 
         Positions are interpolated linearly, and extrapolated a little by the newest velocity.
         """
@@ -146,7 +146,7 @@ class VehicleTrack:
             return None
 
         def between(one: float, other: float) -> float:
-            """Return the angle at the time asked for, rad, linear between two."""
+            """Return the angle interpolated linearly between two, rad."""
             return wrap_pi(one + wrap_pi(other - one) * (time_s - t0) / (t1 - t0))
 
         tilt_rad = None

@@ -230,7 +230,7 @@ class Pacer(SharedClock):
 
     @property
     def pace(self) -> str:
-        """Return the speed that the machine keeps up with, in words."""
+        """Return the text of the speed that the machine keeps up with."""
         return f"{'less than ' if self._is_behind else ''}{self.speed:g}x"
 
     def environment(self, number: int) -> dict[str, str]:

@@ -58,7 +58,7 @@ class TlogWriter(BackgroundFile):
 
 
 def tlog_record(frame: bytes, unix_s: float) -> bytes | None:
-    """Return the tlog record of a frame with its time of sending or reception."""
+    """Return the tlog record of a frame with its Unix time; None if it must not be logged."""
     kept = frame_for_log(frame)
     return None if kept is None else _STAMP.pack(max(0, round(unix_s * 1e6))) + kept
 
@@ -343,7 +343,7 @@ class _RecordReader:
         return kind in _KINDS and offset + self._shortest + peer_size + size > len(data)
 
     def next_record(self, offset: int, number: int, last_s: float) -> _Record | None:
-        """Return the first record after an offset that another record, or the file's end, follows.
+        """Return the first record after an offset that is followed by another or the end, or None.
 
         If there is none at a possible time, the previous record's time may have been damaged.
         """

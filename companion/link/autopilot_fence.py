@@ -196,7 +196,7 @@ class FenceDownload:
         return mavlink.MAVLink_mission_request_int_message(*autopilot, len(reading.items), FENCE)
 
     def check_silence(self, now_s: float) -> AutopilotFenceRead | None:
-        """Return the failure of a reading without answer, once."""
+        """Return the failure of a reading without answer, once, or None."""
         reading = self._reading
         if reading is None or reading.tries < TRIES or now_s < reading.next_s:
             return None
@@ -209,7 +209,7 @@ class FenceDownload:
         return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None
 
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
-        """Process a message of the autopilot for us; return its fence, once complete."""
+        """Process a message of the autopilot for us; return its fence once complete, else None."""
         reading = self._reading
         if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
             return None
@@ -416,7 +416,7 @@ class Px4FailsafeCheck:
         return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
 
     def receive(self, message: Message) -> str | None:
-        """Process a message of the autopilot; return the warning, once, if it applies."""
+        """Process a message of the autopilot; return the warning, once, or None."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
             if name_of(message) == PARAMETER:
                 self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]

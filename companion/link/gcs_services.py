@@ -156,7 +156,7 @@ class ParameterServer:
     def _change(
         self, index: int, message: mavlink.MAVLink_param_set_message, now_s: float
     ) -> tuple[int, str] | None:
-        """Change a value; return MAV_PARAM_ERROR and the reason if that is refused."""
+        """Change a value; return MAV_PARAM_ERROR and the reason if refused, or None."""
         spec = self._book.specs[index]
         is_bytewise = self.encoding is ParamEncoding.BYTEWISE
         if is_bytewise and message.param_type != spec.kind:

@@ -85,7 +85,7 @@ STAMPED = (
 
 
 def exchange_sign_of(message: Message) -> Sign | None:
-    """Return the clock in a TIMESYNC answer, to us or another component.
+    """Return the clock in a TIMESYNC answer to any component; None: not an answer.
 
     It may differ from the clock of `time_boot_ms`. A sender of nothing else answers our requests,
     so this detects two vehicles even if one is nearly silent.
@@ -182,7 +182,7 @@ class IdentityCourse:
         self.main: Track | None = None
         self.other: Track | None = None
         self.difference = ""
-        """Difference of the other course, in words."""
+        """Description of how the other course differs."""
         self.is_out_of_sequence = False
         """True if the last frame's number was far from that of the frame before."""
         self.is_continuation: bool | None = None

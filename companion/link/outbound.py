@@ -70,7 +70,7 @@ class RequestClient:
         self.pending = None
 
     def due(self, now_s: float) -> Message | RequestAnswered | None:
-        """Return the message to send now, or the failure of a request without answer."""
+        """Return the message to send now, the failure of an unanswered request, or None."""
         pending = self.pending
         if pending is None or now_s < pending.next_s:
             return None
@@ -87,7 +87,7 @@ class RequestClient:
     def receive_ack(
         self, ack: mavlink.MAVLink_command_ack_message, now_s: float
     ) -> RequestAnswered | None:
-        """Return the result of the request in flight by an ACK of the autopilot, if final."""
+        """Return the result of the request in flight by a final ACK of the autopilot, or None."""
         pending = self.pending
         if pending is None or pending.sends == 0 or ack.command != pending.command.number:
             return None  # not sent yet: the answer belongs to a request that was replaced

@@ -179,7 +179,7 @@ class LinkHealth:
         self._ticked_s: float | None = None
 
     def tick(self, now_s: float) -> float | None:
-        """Update at a control tick; return for how long the loop was stalled, if it was."""
+        """Update at a control tick; return the duration of a stall of the loop, s, or None."""
         gap_s = 0.0 if self._ticked_s is None else now_s - self._ticked_s
         self._ticked_s = now_s
         self.missed_ticks += max(0, round(gap_s / self.pacing.period_s) - 1)
@@ -288,7 +288,7 @@ class RadioStatus:
 
     @property
     def words(self) -> str:
-        """State of the radio in words."""
+        """State of the radio as text."""
         if self.silent_s is None:
             return "not heard"
         parts = [f"{self.rate_hz:.0f} measurements/s"]

@@ -279,7 +279,7 @@ class RadioStage:
         )
 
     def _range_m(self, reading: RadioReading) -> float | None:
-        """Return the range without offset and scale, if it is plausible."""
+        """Return the range corrected for offset and scale; None: refused, or not measured."""
         said_m, settings = reading.range_m, self.setup.settings
         if said_m is None:
             return None
@@ -303,7 +303,7 @@ class RadioStage:
         return range_m
 
     def _bearing_rad(self, reading: RadioReading) -> float | None:
-        """Return the bearing in its frame: ENU if north-referenced, else body or array."""
+        """Return the bearing in its frame: ENU if north-referenced, else body or array; or None."""
         said_rad, settings = reading.azimuth_rad, self.setup.settings
         if said_rad is None:
             return None

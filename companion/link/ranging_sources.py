@@ -209,7 +209,7 @@ def _from_landing_target(
 ) -> RangingMeasurement | None:
     """Convert LANDING_TARGET: `distance` is slant, 0 unknown; `angle_x` is from the nose.
 
-    Targets other than a radio beacon are not ranging.
+    None for targets other than a radio beacon.
     """
     if message.type != mavlink.LANDING_TARGET_TYPE_RADIO_BEACON:
         return None

@@ -228,7 +228,7 @@ class MAVLink_target_estimate_message(
 
 
 def result_words(enum: str, value: int, prefix: str) -> str:
-    """Return a result in words, without the prefix of its enum: `temporarily rejected`."""
+    """Return the name of a result as text, without its enum's prefix: `temporarily rejected`."""
     entry = mavlink.enums[enum].get(value)
     name = f"result {value}" if entry is None else str(entry.name)
     return name.removeprefix(prefix).lower().replace("_", " ")

@@ -118,7 +118,7 @@ class ProbabilityMemory(SearchMemory):
     pattern_m: float = math.inf
     """Length of the pattern over the whole area, which is one sweep."""
     why: str = ""
-    """Probability that the current leg succeeds, in words."""
+    """Text of the probability that the current leg succeeds."""
 
 
 class ProbabilityPlanner(SearchPlanner):

@@ -1,8 +1,8 @@
 """Calibration of a radio from measurements at known positions, or the reasons for refusing one.
 
 Theory of operation. Bearings and ranges each determine a lag; the radio has one, so the two are
-combined. With it both are fitted. Implausible results are refused in words, for ranges and bearings
-separately, so that half a calibration can be used.
+combined. With it both are fitted. Implausible results are refused with the reason, for ranges and
+bearings separately, so that half a calibration can be used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A calibration in words, as YAML to paste, and in JSON's own types."""
+"""A calibration as text, as YAML to paste, and as JSON."""
 
 from __future__ import annotations
 

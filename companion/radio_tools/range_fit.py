@@ -325,7 +325,7 @@ def _medians(errors: Vector, labels: Labels) -> Vector:
 
 
 def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Figure, Figure | None]:
-    """Return the share of ranges longer by three sigma, and their mean excess."""
+    """Return the share of ranges longer by three sigma, and their mean excess, or None."""
     is_long = (residuals > NLOS_SIGMAS * sigma_m).astype(float)
     share = ratio_figure(sums_of(is_long, labels), sums_of(np.ones(len(residuals)), labels))
     share = Figure(share.value, max(share.low, 0.0), min(share.high, 1.0))
@@ -335,7 +335,7 @@ def _reflections(residuals: Vector, sigma_m: float, labels: Labels) -> tuple[Fig
 
 
 def _worst(level: _Level, scatter_m: float, labels: Labels) -> tuple[float, float] | None:
-    """Return the cluster that fits worst, if it is worth reporting."""
+    """Return distance and residual of the worst cluster, m; None if it fits within the noise."""
     worst = int(np.argmax(np.abs(level.residuals_m)))
     far_m = float(level.residuals_m[worst])
     own_m = scatter_m / math.sqrt(float(np.bincount(labels).mean()))

@@ -199,7 +199,7 @@ def columns(line: str, delimiter: str = ",") -> list[str]:
 
 
 def emitter_name(text: str) -> str | int | None:
-    """Return an emitter: decimal digits become a number, anything else is a name."""
+    """Return an emitter, a number if it is of decimal digits, else a name; None if empty."""
     text = text.strip()
     if not text:
         return None
@@ -268,7 +268,7 @@ def _unit_in(name: str) -> str:
 
 
 def _complain_of_before(found: re.Match[str], name: str) -> str | None:
-    """Return the error indicated by the characters before a number."""
+    """Return the error indicated by the characters before a number, or None."""
     before, unit = found.string[: found.start(name)], _unit_in(name)
     if _SIGN_BEFORE.search(before) and found[name][0] not in "+-":
         return "leaves out the sign before it"
@@ -280,7 +280,7 @@ def _complain_of_before(found: re.Match[str], name: str) -> str | None:
 
 
 def _complain_of_cut(found: re.Match[str], name: str) -> str | None:
-    """Return the error where an expression ends within a number, or within a quantity."""
+    """Return the error of an expression that ends within a number or quantity, or None."""
     line, text, is_hex = found.string, found[name], name.endswith(HEX)
     start, end = found.span(name)
     before = _WORD_BEFORE if is_hex else _NUMBER_BEFORE
@@ -298,7 +298,7 @@ def _complain_of_cut(found: re.Match[str], name: str) -> str | None:
 
 
 def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
-    """Return the error by the side or unit behind a number."""
+    """Return the error indicated by the side or unit after a number, or None."""
     line, end, unit = found.string, found.end(name), _unit_in(name)
     if name in _ANGLES_BY_UNIT and _SIDE_BEHIND.match(line, end):
         return "is followed by a side: its sign is not known"

@@ -42,13 +42,13 @@ def angle_rad(raw: int, merit: int) -> float | None:
 
 
 def quality_of(*merits: int) -> float | None:
-    """Return the worst quality of the measured angles; figures of merit are 0 to 100."""
+    """Return the worst quality of the measured angles, figures of merit 0 to 100; None: none."""
     there = [merit for merit in merits if merit]
     return min(1.0, min(there) / 100.0) if there else None
 
 
 def range_of(centimetres: int, status: int) -> float | None:
-    """Return the range in metres; negative distances have their own status, in either notation."""
+    """Return the range in metres, None: not measured; negative ones have their own status."""
     if centimetres == NO_DISTANCE:
         return None
     if status == OK_NEGATIVE_DISTANCE:
@@ -112,7 +112,7 @@ class FiraUciDecoder(FiraDecoder):
     start = re.compile(rb"[\x62\x72](?:\x00\x00|\x00?\Z)")
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """Return the size of all packets of a notification, which follow each other."""
+        """Return the size of all packets of a notification; 0: not one; None: incomplete."""
         end = at
         for _ in range(MOST_PACKETS):
             if len(data) < end + PACKET_HEADER:
@@ -135,7 +135,7 @@ class FiraUciDecoder(FiraDecoder):
         )
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """Return the readings of all measurements of a notification."""
+        """Return the readings of all measurements of a notification; None: not one."""
         payload = _payload_of(frame)
         if len(payload) < SESSION_INFO.size:
             return None

@@ -154,7 +154,7 @@ def _finite(value: object) -> bool:
 
 
 def _first(found: Mapping[str, Any], *keys: str) -> float | None:
-    """Return the number of the first key that has one."""
+    """Return the number of the first key that has one, or None."""
     return next((float(found[key]) for key in keys if _finite(found.get(key))), None)
 
 
@@ -164,7 +164,7 @@ def _objects(value: object) -> list[Mapping[str, Any]]:
 
 
 def _text(found: object, *path: str) -> str | None:
-    """Return the text at a path of keys."""
+    """Return the text at a path of keys, or None."""
     for key in path:
         found = found.get(key) if isinstance(found, dict) else None
     return found[:64] if isinstance(found, str) and found else None
@@ -182,7 +182,7 @@ def _thing(uplink: Mapping[str, Any]) -> str | None:
 
 
 def _device(event: Mapping[str, Any]) -> str | None:
-    """Return the EUI of a device, which version 3 writes in base64."""
+    """Return the EUI of a device, which version 3 writes in base64; None: invalid."""
     eui = _text(event, "deviceInfo", "devEui") or _text(event, "devEUI")
     if eui is None or re.fullmatch(r"[0-9A-Fa-f]{16}", eui):
         return eui
@@ -350,7 +350,7 @@ class NdjsonDecoder(LineDecoder):
 
 
 def _foreign_key(line: Line) -> str | None:
-    """Return the key of another format that stands for a missing quantity."""
+    """Return a key of another format that has a missing quantity, or None."""
     for key, name in FOREIGN.items():
         if getattr(line, key) is not msgspec.UNSET and getattr(line, name) is None:
             return key

@@ -101,7 +101,7 @@ class NlinkDecoder(FrameDecoder):
     start = re.compile(rb"\x55(?:[\x00-\x09\x0b]|\Z)|\x6a(?:\x00|\Z)")
 
     def size_at(self, data: bytes, at: int) -> int | None:
-        """Return the frame's length, which must fit its elements if all have one size."""
+        """Return the frame's length; 0: not a frame; None: incomplete."""
         if len(data) < at + 2:
             return None
         mark = data[at + 1]
@@ -124,7 +124,7 @@ class NlinkDecoder(FrameDecoder):
         return int(size)
 
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
-        """Return the node's own measurements, if the sum is right."""
+        """Return the node's own measurements; None if the checksum is wrong."""
         mark = frame[1]
         is_iot = frame[0] != 0x55
         if mark == 0x00 and not is_iot:

@@ -111,7 +111,7 @@ class Esp32FtmDecoder(FieldDecoder):
 
 
 def complain_of_unsigned(range_m: float | None) -> str | None:
-    """Return the reason to refuse a range; negative ones are printed as zero, or near 2^32 cm."""
+    """Return the reason to refuse a range, or None; negative ones print as 0 or near 2^32 cm."""
     if range_m is None or range_m > LONGEST_M:
         return "distance is out of bounds"
     return "distance 0: the radio cannot say less" if range_m == 0.0 else None

@@ -53,7 +53,7 @@ class FlightReplay:
 
     @property
     def first_difference(self) -> str | None:
-        """First difference between the two, in words; None if there is none."""
+        """Description of the first difference between the two; None if there is none."""
         recorded, replayed = self.recorded, self.replayed
         if replayed.whole is not None:
             recorded, replayed = recorded.first(*replayed.whole), replayed.first(*replayed.whole)
@@ -66,7 +66,7 @@ class FlightReplay:
     def _unlike(
         self, recorded: Sequence[T], replayed: Sequence[T]
     ) -> Iterator[tuple[int, T | None, T | None]]:
-        """Yield the number of each that differs, and both; of a damaged log only existing ones."""
+        """Yield number and both values of each difference; None stands for a missing one."""
         if self.is_course_whole:
             for number, (before, after) in enumerate(zip_longest(recorded, replayed), start=1):
                 if before != after:
@@ -146,7 +146,7 @@ def _by_time(lines: Sequence[Json]) -> dict[tuple[object, int], tuple[float, flo
 
 
 def position_of(line: Json) -> tuple[float, float] | None:
-    """Return east and north of an estimate's line."""
+    """Return east and north of an estimate's line; None if it has no position."""
     position = line.get("position_enu_m")
     match position:
         case [int() | float() as east_m, int() | float() as north_m, *_]:

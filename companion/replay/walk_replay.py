@@ -104,7 +104,7 @@ class TargetResult:
 
     @property
     def error_m(self) -> float | None:
-        """Distance of the estimate from the truth, if the file contains it."""
+        """Distance of the estimate from the truth, m; None if either is unknown."""
         if self.estimate is None or self.truth_enu_m is None:
             return None
         return math.dist(self.estimate.position_enu_m, self.truth_enu_m)
@@ -327,7 +327,7 @@ def _walk_row(
 
 
 def _sigma(row: Mapping[str, str], name: str, line: str, stated: float | None) -> float | None:
-    """Return a row's standard deviation, or the one of the whole walk."""
+    """Return a row's standard deviation, else that of the whole walk, if any."""
     value = _number(row, name, line)
     if value is None:
         return stated
@@ -353,7 +353,7 @@ def _measured(row: Mapping[str, str], name: str, line: str) -> float | None:
 
 
 def _bearing(row: Mapping[str, str], line: str) -> float | None:
-    """Return a bearing, from -pi to pi; a file may also count from 0 to 2 pi."""
+    """Return a bearing in [-pi, pi], or None; a file may also count from 0 to 2 pi."""
     value = _measured(row, "bearing_rad", line)
     if value is None or not math.pi < abs(value) <= 2.0 * math.pi:
         return value

@@ -142,7 +142,7 @@ class FlightSummary:
 
     @property
     def last(self) -> EstimatePoint | None:
-        """The last estimate."""
+        """The last estimate; None if there is none."""
         return self.estimates[-1] if self.estimates else None
 
 
@@ -213,7 +213,7 @@ def radii_of_line(r95_m: float, line: Line) -> str:
 
 
 def event_text(kind: str, line: Line) -> str:
-    """Return an event in words, for the table of events."""
+    """Return the text of an event for the table of events."""
     if kind in ("text", "autopilot_text"):
         return str(line.get("text"))
     if kind == "phase":
@@ -242,7 +242,7 @@ def read_searched(flight: Path) -> SearchedFlight:
 
 
 def state_again(flights: list[SearchedFlight], path: Path) -> SearchState | None:
-    """Return the combined state of flights; a `ConfigError` names the first one's file."""
+    """Return the combined state of flights, or None; a `ConfigError` names the first one's file."""
     try:
         return searched_again(flights)
     except ValueError as error:

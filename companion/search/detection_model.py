@@ -1,4 +1,4 @@
-"""Would an emitter have been heard: the probability that an answer of it is received.
+"""Detection model: the probability that an answer of the emitter is received.
 
 Theory of operation. An answer is received while its margin is positive (log-distance path loss with
 log-normal shadowing: T. S. Rappaport, Wireless Communications, 2nd ed., section 4.9):
@@ -43,7 +43,7 @@ class Wall(Params, frozen=True):
     """Loss at each wall; brick and light concrete at 1 to 6 GHz have 5 to 15 dB (ITU-R P.2040)."""
 
     def __post_init__(self) -> None:
-        """Refuse an outline that encloses nothing."""
+        """Raise `ValueError` for an outline that encloses nothing."""
         problem = polygon_problem(self.corners_enu_m, 1.0)
         if problem is not None:
             raise ValueError(f"corners_enu_m {problem}")
@@ -100,7 +100,7 @@ class DetectionParams(Params, frozen=True):
     """Known obstacles; those that are not known are in the shadowing."""
 
     def __post_init__(self) -> None:
-        """Refuse more walls than an update has time for."""
+        """Raise `ValueError` for more walls than an update has time for."""
         if sum(len(wall.corners_enu_m) for wall in self.walls) > MOST_WALL_EDGES:
             raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
 
@@ -145,7 +145,7 @@ class DetectionModel(DetectionParams, frozen=True):
         return math.sqrt(1.0 - SHARED_VARIANCE) * self.propagation.shadowing_db
 
     def margin_db(self, centres_enu_m: Floats, sensor_m: PositionEnu) -> Floats:
-        """(cells,) margin without any offset; the sensor's up is above the ground of the cells."""
+        """Return the margins without offset, (cells,), dB; the sensor's up is above the ground."""
         east, north, up = sensor_m
         squared = (centres_enu_m[:, 0] - east) ** 2 + (centres_enu_m[:, 1] - north) ** 2 + up * up
         margin = (
@@ -157,7 +157,7 @@ class DetectionModel(DetectionParams, frozen=True):
 
 
 def _ways_through(wall: Wall, centres_enu_m: Floats, sensor_m: PositionEnu) -> NDArray[np.int64]:
-    """(cells,) sides and roofs that the straight path from a cell to the sensor crosses."""
+    """Return the number of walls and roofs on the straight path of each cell, (cells,)."""
     share = 1.0 if sensor_m[2] <= wall.height_m else wall.height_m / sensor_m[2]
     ends = centres_enu_m + share * (np.array(sensor_m[:2]) - centres_enu_m)
     count = np.zeros(len(centres_enu_m), dtype=np.int64)
@@ -169,7 +169,7 @@ def _ways_through(wall: Wall, centres_enu_m: Floats, sensor_m: PositionEnu) -> N
 
 
 def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """(n,) True where the path from start to end crosses the edge a b."""
+    """Return (n,) True where the path from start to end crosses the edge from a to b."""
 
     def sides(points: Floats) -> Floats:
         """Return a number for each point, (n,), positive to the left of the edge."""
@@ -207,10 +207,10 @@ NODE_WEIGHTS = _normal_weights(NODES)
 MARGIN_STEPS = 16
 """Steps of the table's margin to a step of the quadrature."""
 FADING_DB = 25.0
-"""Fading beyond this changes nothing: above its median by half as much there is no answer left, and
-of Rayleigh fading 0.2 % lies so far below it."""
+"""Largest modelled fading: hardly any answer exceeds its median by half as much, and 0.2 % of
+Rayleigh fading lies so far below it."""
 LEAST_LOG = -60.0
-"""Log probability of a miss that counts as certain detection."""
+"""Log probability of a miss below which detection is certain."""
 
 
 class MissTable:
@@ -241,7 +241,7 @@ class MissTable:
         """Table by margin and offset, (margins, offsets)."""
 
     def index_of(self, margin_db: Floats) -> NDArray[np.int64]:
-        """(cells,) rows of margins; those beyond the table have its first or its last."""
+        """Return the table rows of margins, (cells,), clipped to the table."""
         index = np.rint((margin_db - self._least_db) / self._fine_db).astype(np.int64)
         return np.clip(index, 0, len(self.rows) - 1)
 
@@ -267,7 +267,7 @@ def received_share(margins_db: Floats, rice_k_db: float) -> Floats:
     k = 10.0 ** (0.1 * rice_k_db)
 
     def above(power: Floats) -> Floats:
-        """Survival function of the scattered power's multiples."""
+        """Return the probability that each multiple of the scattered power is exceeded."""
         term = math.exp(-k)
         total: Floats = np.zeros(len(power))
         inner: Floats = np.exp(-power)
@@ -287,7 +287,7 @@ def received_share(margins_db: Floats, rice_k_db: float) -> Floats:
 
 
 def look_spacing_m(model: DetectionModel) -> float:
-    """Side of the squares in which looks count as from one point.
+    """Return the side of the squares in which looks are taken as from one point, m.
 
     An eighth of the reach is half a decibel at the reach, to either side; less than a metre is
     within the vehicle's own uncertainty.

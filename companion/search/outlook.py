@@ -1,4 +1,4 @@
-"""Chance that is left in a search area, and the part of it that a straight leg would find.
+"""Remaining probability in a search area, and the part that a straight leg would detect.
 
 Theory of operation. An `Outlook` keeps, for every cell, the probability that the emitter is there
 and was missed so far, split by the offset of the cell (error of the reach and shadowing about the
@@ -108,10 +108,10 @@ def _square_log_miss(model: DetectionModel, answers: float) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """Chance that is left, at one moment of a search."""
+    """Remaining probability at one moment of a search."""
 
     grid: SearchGrid
-    """Cells of the forecast, with the POA that is left, given that the emitter is in the area."""
+    """Cells of the forecast, with their posterior POA, given that the emitter is in the area."""
     chance: Floats32
     """(cells, groups) probability that the emitter is there and was missed; the sum is 1 - POS."""
     visited: frozenset[Square]
@@ -119,7 +119,7 @@ class Outlook:
 
     @property
     def is_even(self) -> bool:
-        """True if nothing was listened for yet and no cell is likelier than another."""
+        """True if no square was searched yet and all cells are equally likely."""
         return not self.visited and float(np.ptp(self.grid.poa)) < 1e-9
 
     def after(self, start: Point, end: Point, table: LegTable) -> Outlook:
@@ -136,7 +136,7 @@ class Outlook:
 
     @property
     def density(self) -> Floats:
-        """(cells,) chance of each cell, relative to the highest."""
+        """Remaining probability of each cell, (cells,), relative to the highest."""
         mass: Floats = self.chance.sum(axis=1, dtype=float)
         return mass / max(float(mass.max()), 1e-300)
 

@@ -31,7 +31,7 @@ LEAST_ACROSS = 10
 
 @dataclass(frozen=True, slots=True)
 class WeightedArea:
-    """A polygon with the chance that the emitter is in it, against the other polygons."""
+    """A polygon with its weight: the relative probability that the emitter is in it."""
 
     corners_enu_m: tuple[Point, ...]
     weight: float = 1.0
@@ -130,7 +130,7 @@ def _within(area: WeightedArea, points: Floats) -> Bools:
 
 
 def are_inside(polygon: Polygon, points: Floats) -> Bools:
-    """(n,) True for the points, (n, 2), inside a polygon, by the crossing number."""
+    """Return (n,) True for the points, (n, 2), inside a polygon, by the crossing number."""
     east, north = points[:, 0], points[:, 1]
     inside = np.zeros(len(points), dtype=bool)
     e0, n0 = polygon[-1]
@@ -150,7 +150,7 @@ of another site."""
 
 @dataclass(frozen=True, slots=True)
 class SiteArea:
-    """A polygon in degrees, its holes, and its chance against the other polygons."""
+    """A polygon in degrees, its holes, and its weight relative to the other polygons."""
 
     corners_deg: tuple[LatLon, ...]
     weight: float = 1.0

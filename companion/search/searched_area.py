@@ -1,4 +1,4 @@
-"""Coverage of a search so far: probability of detection by cell, and of success over the area.
+"""Searched area: probability of detection by cell and of success, prior and reach at contact.
 
 Theory of operation. Answers that were listened for at one position are not independent, because its
 shadowing is the same for all of them: so looks are combined by squares of the shadowing's
@@ -12,12 +12,13 @@ out when the state is asked for:
 
     POD = 1 - miss,  POA' = POA miss / sum(POA miss),  POS = sum(POA POD)
 
-A square that is entered again continues where it was left: its looks are applied again, and what it
-counted for is taken back. That would take long at once, so work is queued, and `advance` does one
-piece of it, an update of all cells. Probabilities are updated in blocks of cells for the same
-reason.
+A square that is entered again continues where it was left: its looks are applied again, and its
+earlier contribution is removed. That would take too long at once, so work is queued, and `advance`
+does one piece of it, an update of all cells. Probabilities are updated in blocks of cells for the
+same reason.
 
-The searched area at first contact: prior of the emitter's position, and reach of the radio.
+At first contact the searched area gives the prior of the emitter's position, and the reach of the
+radio.
 
 Theory of operation of the prior. The emitter is less likely where a search did not hear it. The
 posterior of the grid, POA (1 - POD), is the prior of the first hypotheses. It is limited: alone it
@@ -58,7 +59,7 @@ from companion.search.search_grid import Floats, SearchGrid
 Square = tuple[int, int]
 Floats32 = NDArray[np.float32]
 HEIGHT_STEP_M = 5.0
-"""Looks from heights that differ by less are one; at 20 m that is 2 dB straight below."""
+"""Height difference below which looks are merged; at 20 m that is 2 dB straight below."""
 LISTENED_AGAIN_S = 5.0
 """Period at which a square that is listened from continuously counts its looks."""
 
@@ -109,7 +110,7 @@ class Look:
 
 @dataclass(slots=True)
 class _SquareLooks:
-    """The looks of one square of the shadowing's correlation length, by squares of a look."""
+    """Looks in one square of the shadowing's correlation length, by squares of a look."""
 
     looks: dict[tuple[int, int, int], Look] = field(default_factory=dict)
     is_counted: bool = False
@@ -118,7 +119,7 @@ class _SquareLooks:
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """A piece of work: apply answers from a point, or (None) leave, or take back the square."""
+    """A piece of work: apply answers from a point, or (None) leave or remove the square."""
 
     square: Square
     position_m: PositionEnu | None = None
@@ -158,7 +159,7 @@ class SearchedArea:
         """`log_missed` at the first contact, once the work until then is done."""
 
     def listen(self, position_m: PositionEnu, seconds: float) -> None:
-        """Note that nothing was heard for a time at a position; up is above the ground."""
+        """Add a time without any answer at a position; up is above the ground."""
         answers = seconds / self.model.interval_s
         key = _key_of(position_m, self._spacing_m)
         pending = self._pending
@@ -187,7 +188,7 @@ class SearchedArea:
 
     @property
     def looks(self) -> list[Look]:
-        """All looks so far; those from one point count as one."""
+        """All looks so far; those from one point are merged."""
         looks = [look for square in self._looks.values() for look in square.looks.values()]
         return looks if self._pending is None else [*looks, self._pending]
 
@@ -271,15 +272,15 @@ class SearchedArea:
             own.looks[key] = Look(*look.position_m, look.answers)
 
     def _counted(self, block: slice = ALL_CELLS) -> Floats32:
-        """(cells, nodes) log probability of a miss in the square that is listened from."""
+        """Return the log probability of a miss in the current square, (cells, nodes)."""
         missed = np.exp(self._here[block]) @ self._spread
         counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(LEAST_LOG))))
         return counted
 
     def log_missed(self, block: slice = ALL_CELLS) -> Floats32:
-        """(cells, nodes) log probability that an emitter was missed, for each offset of its cell.
+        """Return the log probability of a miss for each offset of a cell, (cells, nodes).
 
-        Of a square that is entered again, what it counted for before stays until it was taken back.
+        Of a square that is entered again, the earlier contribution stays until it was removed.
         """
         left = self._left[block]
         square = self._here_square

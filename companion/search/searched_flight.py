@@ -1,6 +1,6 @@
 """Searched area of one flight: its configuration, its file and its sentence for the radio.
 
-Outlines and gaps of a search grid: where something holds, as polygons and in words.
+It also describes the outlines and gaps of a search grid, as polygons and as text.
 
 Outlines run along the sides of cells and claim nothing finer than the grid does. The outside is
 counter-clockwise and holes are clockwise, as RFC 7946 requires.
@@ -115,7 +115,7 @@ def _in_metres(grid: SearchGrid, ring: list[Node]) -> tuple[Point, ...]:
 
 
 GAP_POD = 0.5
-"""Cells of a gap: there it would rather have been missed than heard."""
+"""POD below which a cell belongs to a gap: the emitter is more likely missed than heard."""
 LEAST_GAP_SHARE = 0.02
 """Minimum share of the probability; smaller gaps are not reported."""
 MOST_GAPS = 3
@@ -135,7 +135,7 @@ class Gap:
 
 
 def gaps_of(state: SearchState) -> list[Gap]:
-    """Return the gaps worth reporting, the most probable one first."""
+    """Return the gaps to be reported, the most probable one first."""
     grid = state.grid
     found = [
         Gap(sector_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)
@@ -183,7 +183,7 @@ def sector_name(grid: SearchGrid, cells: Bools) -> str:
 
 Probability = Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)]
 GOOD_POD = 0.8
-"""POD above which an area counts as searched."""
+"""POD above which an area is taken as searched."""
 
 
 ReachSource = Literal["configured", "preset"]
@@ -241,7 +241,7 @@ class StoredGrid(msgspec.Struct, frozen=True):
 
 
 class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
-    """`searched_area.json`: everything that the other files are made of."""
+    """Content of `searched_area.json`, from which the other files are made."""
 
     version: int = 1
     began_unix_s: float
@@ -273,9 +273,8 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
 def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
     """Return the combined coverage of flights, on the grid of the first one.
 
-    None if nothing can be stated, because it has no grid or model. Flights of other origins are
-    moved by the difference of the origins. What a contact showed of the reach holds for all flights
-    that assumed the same.
+    None if it has no grid or model. Flights of other origins are moved by the difference of the
+    origins. A reach that a contact revealed applies to all flights that assumed the same one.
     """
     first = flights[0]
     if first.grid is None:
@@ -350,7 +349,7 @@ def _reach(flight: SearchedFlight) -> str:
 
 
 def reach_source(flight: SearchedFlight) -> str | None:
-    """Return where the reach is from, in words; None if it is unknown."""
+    """Return the text of where the reach is from; None if it is unknown."""
     if flight.detection is None:
         return None
     figures = f"{flight.detection.reach_m:g} m, {flight.detection.reach_sigma_db:g} dB"

@@ -1,6 +1,7 @@
-"""`companion config`: each value with its origin, and the schema for editors.
+"""The commands `companion config` and `companion tiles`.
 
-`companion tiles`: a folder of map tiles for the live map, from a server.
+The first shows each value with its origin, and the schema for editors; the second fills a folder
+with map tiles for the live map from a server.
 """
 
 from __future__ import annotations

@@ -233,7 +233,7 @@ def _met_on_ground(sensor_enu_m: PositionEnu, ray: PositionEnu, height_m: float)
 
 
 def _words(estimate: TargetEstimate) -> str:
-    """Return the state in words, and how to resolve an ambiguity."""
+    """Return the text of the state, and how to resolve an ambiguity."""
     words, aside_m = ESTIMATE_WORDS[estimate.state], aside_of_m(estimate)
     return words if aside_m is None else f"{words}: go {aside_m:.0f} m to the side"
 
@@ -320,7 +320,7 @@ class FlightSnapshot:
 
 
 def searched_words(session: GuidanceSession) -> str | None:
-    """Return how much of the area is searched, in a few words, while an emitter is sought."""
+    """Return the text of the searched share of the area; None unless an emitter is sought."""
     searching = session.searching
     if not searching.is_counting or not searching.is_worth_reporting:
         return None
@@ -366,7 +366,7 @@ class TimeToGo:
         self._under_since_s: float | None = None
 
     def of_flight(self, endpoint: CompanionEndpoint, now_s: float) -> float | None:
-        """Return the seconds to go of a flight, whose end a ground station may change."""
+        """Return the seconds to go of a flight, whose stop rule a station may change, or None."""
         params, estimate = endpoint.session.params, endpoint.session.estimate
         self._stop_radius_m, self._confirm_s = params.stop_radius_m, params.stop_confirm_s
         return self.observe(now_s, None if estimate is None else estimate.settled_r95_m)

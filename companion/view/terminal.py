@@ -1,4 +1,4 @@
-"""The flight in a terminal: one screen that is redrawn, in words and numbers.
+"""The flight in a terminal: one text screen that is redrawn.
 
 Theory of operation. A terminal may be stopped (Ctrl-S) or hang (SSH), and then a write never
 returns. So the flight only puts the newest moment into a slot; a daemon thread draws it, and

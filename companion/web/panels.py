@@ -43,7 +43,7 @@ def _panel(title: str = "") -> ui.element:
 
 
 class PhaseBar:
-    """The phase in words, across the top."""
+    """The phase, across the top."""
 
     def __init__(self, replay: str | None) -> None:
         """`replay` is the banner of a past flight; None if the flight is live."""

@@ -161,7 +161,7 @@ def web_settings(
 
 
 def requested_settings(arguments: argparse.Namespace) -> WebSettings | None:
-    """Return the map's settings for a flight, for the demo, which has buttons, or for a replay."""
+    """Return the map's settings for a flight, the demo (with buttons) or a replay; None: no map."""
     is_flight = arguments.command is None
     web = arguments.fly_web if is_flight else arguments.web
     tiles = arguments.fly_web_tiles if is_flight else arguments.web_tiles

@@ -199,7 +199,7 @@ class StickInput:
         return self._joystick_s is not None and now_s - self._joystick_s < self.joystick_timeout_s
 
     def pulses(self, now_s: float) -> Sticks | None:
-        """Return the values of RC_CHANNELS: the sticks, or a receiver's failsafe position."""
+        """Return RC_CHANNELS: the sticks, or a receiver's failsafe position; None: no receiver."""
         held = self.read(now_s)
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
@@ -252,6 +252,6 @@ class Echo:
 
     @property
     def whole_position(self) -> PositionEnu | None:
-        """The position, if all of it is commanded."""
+        """The position; None unless all three axes are commanded."""
         east, north, up = self.position_enu_m
         return None if east is None or north is None or up is None else (east, north, up)

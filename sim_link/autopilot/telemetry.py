@@ -136,7 +136,7 @@ def battery_status(vehicle: SimVehicle) -> Fields:
 
 
 def home_position(vehicle: SimVehicle) -> Fields | None:
-    """Return HOME_POSITION with its local position relative to the EKF origin."""
+    """Return HOME_POSITION, local position relative to the EKF origin; None without a home."""
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     local = ned_from_enu(vehicle.estimator.local_from_world(vehicle.home_enu_m))
@@ -146,7 +146,7 @@ def home_position(vehicle: SimVehicle) -> Fields | None:
 
 
 def gps_global_origin(vehicle: SimVehicle) -> Fields | None:
-    """Return the zero of LOCAL_POSITION_NED, to the last digit as it was set."""
+    """Return the origin of LOCAL_POSITION_NED exactly as it was set; None without a home."""
     if not vehicle.flavour.has_home(vehicle.time_s):
         return None
     origin = vehicle.origin

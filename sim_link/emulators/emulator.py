@@ -40,17 +40,17 @@ class Answer:
 
     @property
     def range_m(self) -> float | None:
-        """Measured slant range."""
+        """Measured slant range, m; None: not measured."""
         return None if self.heard is None else self.heard.range_m
 
     @property
     def azimuth_rad(self) -> float | None:
-        """Azimuth, clockwise from boresight."""
+        """Azimuth, clockwise from boresight; None: not measured."""
         return None if self.heard is None else self.heard.bearing_body_rad
 
     @property
     def elevation_rad(self) -> float | None:
-        """Elevation, positive upwards."""
+        """Elevation, positive upwards; None: not measured."""
         return None if self.heard is None else self.heard.elevation_rad
 
     @property

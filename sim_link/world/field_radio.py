@@ -268,7 +268,7 @@ class FieldRadio(RadioChannel):
         return max(MIN_RANGE_M, range_m)
 
     def _bearing(self, moment: _Moment) -> Printed | None:
-        """Measure the bearing; an ideal antenna counts counter-clockwise from east."""
+        """Measure the bearing, None: none; an ideal antenna counts counter-clockwise from east."""
         draw, gross = moment.draw, moment.gross_direction
         offset_rad = self._character(moment.emitter).bearing_offset_rad
         if self._antenna.kind == "ideal":

@@ -197,7 +197,7 @@ class TickCase:
 
     @property
     def title(self) -> str:
-        """The case in words."""
+        """Text of the case."""
         return f"{self.kernels}, {self.state}, {self.emitters} {self.phase}"
 
     def measured(self, root: Path, seconds: float) -> TickCost:

@@ -81,7 +81,7 @@ def fly(trial: Trial) -> TrialOutcome:
 
 
 def faults_of(error_m: float, hold_s: float, farthest_m: float, texts: Sequence[str]) -> list[str]:
-    """Return the violated conditions of a flight, in words; an infinite error: no report."""
+    """Return the texts of a flight's violated conditions; an infinite error: no report."""
     found = [f"{alarm!r}" for alarm in FALSE_ALARMS if any(alarm in text for text in texts)]
     if error_m > WORST_ERROR_M:
         found.append(f"{error_m:.2f} m off" if math.isfinite(error_m) else "nothing reported")

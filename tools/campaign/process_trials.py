@@ -299,7 +299,7 @@ def _kill(
 def _time_of(
     events: Sequence[dict[str, Any]], kind: str, since_s: float = 0.0, **fields: object
 ) -> float | None:
-    """Return the time of the first such event, s."""
+    """Return the time of the first such event, s, or None."""
     for event in events:
         is_it = all(event.get(name) == value for name, value in fields.items())
         if event["kind"] == kind and event["t_s"] >= since_s and is_it:

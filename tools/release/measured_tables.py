@@ -28,7 +28,7 @@ CLIENTS = {
     "mavsdk": "MAVSDK-Python 4, listening",
     "pymavlink": "pymavlink, listening",
 }
-"""Clients of tools/bench_process.py, in words."""
+"""Names of the clients of tools/bench_process.py."""
 
 CAMPAIGN_PARTS = {
     "missions": (
@@ -75,7 +75,7 @@ CAMPAIGN_PARTS = {
         "memory grows by {soak_slope_mb_per_h:.3f} MB/h, log of {soak_log_bytes:,} bytes",
     ),
 }
-"""Parts of tools/faults.py in words: the flights and their figures."""
+"""Titles of the parts of tools/faults.py: the flights and their figures."""
 
 
 def process_rows(uses: list[Mapping[str, Any]]) -> list[str]:

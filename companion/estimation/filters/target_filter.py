@@ -87,17 +87,17 @@ class UpdateReport:
 
     @property
     def range(self) -> ModalityReport | None:
-        """Result of the range."""
+        """Result of the range; None: not measured."""
         return self.modalities[RANGE]
 
     @property
     def bearing(self) -> ModalityReport | None:
-        """Result of the bearing, or of an array's first component."""
+        """Result of the bearing, or of an array's first component; None: not measured."""
         return self.modalities[BEARING]
 
     @property
     def elevation(self) -> ModalityReport | None:
-        """Result of the elevation, or of an array's second component."""
+        """Result of the elevation, or of an array's second component; None: not measured."""
         return self.modalities[ELEVATION]
 
 

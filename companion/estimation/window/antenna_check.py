@@ -1,9 +1,9 @@
 """Identification of an antenna that is not configured, by how well each kind explains bearings.
 
-A radio that reports an angle does not say of what. An azimuth about the vertical is as accurate
-from above as from afar. That of a planar array is worthless right above the emitter, and tilts with
-the vehicle. A line of antennas reports an arcsine, which folds behind onto ahead. Far off and ahead
-the three are the same; from above they differ, and so do the errors that each of them leaves.
+A radio that reports an angle does not report its kind. An azimuth about the vertical is as accurate
+from above as from afar. That of a planar array has no information right above the emitter, and
+tilts with the vehicle. A line of antennas reports an arcsine, which folds behind onto ahead. Far
+off and ahead the three are equal; from above they differ, and so do the residuals of each model.
 
 Each candidate is solved for its own position. Errors are assumed Laplacian with a scale that is
 estimated as well, so that reflections have little weight and no noise needs to be known:
@@ -12,13 +12,13 @@ estimated as well, so that reflections have little weight and no noise needs to 
 
 with u the whitened residuals; ranges add their robust loss. Another antenna is accepted when the
 difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than three
-standard deviations by noise, with the correlation of neighbours. Until then the planar
-array is assumed, which claims the least information. An angle beyond a right one rules out a line
-at once. A bearing with a range that is too long came by reflection or around an edge, and is not
-evidence. A planar array is reported only where an azimuth's errors grow with the steepness: errors
-around an edge are as large from aside. Accurate bearings right above prove an azimuth for good, and
-shadows and reflections only degrade them: so an azimuth is dropped only when the evidence against
-it exceeds the most that there was for it.
+standard deviations by noise, with the correlation of neighbours. Until then the planar array is
+assumed, the least informative model. An angle beyond a right one rules out a line at once. A
+bearing with a range that is too long came by reflection or around an edge, and is not evidence. A
+planar array is reported only where an azimuth's errors grow with the steepness: errors by
+diffraction around an edge are as large from aside. Accurate bearings right above prove an azimuth
+for good, and shadows and reflections only degrade them: so an azimuth is dropped only when the
+evidence against it exceeds the largest evidence for it so far.
 
 Source: Q. H. Vuong, Econometrica 57 (1989), for the comparison of models that need not be true.
 """

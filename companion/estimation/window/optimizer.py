@@ -90,7 +90,7 @@ class MeasurementWindow:
 
     @property
     def times_s(self) -> Vector:
-        """Time of each measurement, (n,); unknown ones count as the latest."""
+        """Time of each measurement, (n,); unknown ones are set to the latest."""
         times_s = np.array(self._times_s)[self.rows[:, SEQUENCE].astype(int)]
         known = times_s[~np.isnan(times_s)]
         latest_s = float(known.max()) if known.size else 0.0

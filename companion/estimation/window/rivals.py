@@ -78,8 +78,8 @@ def weigh_optima(
     """Return the optima with log-weights, best first, without the improbable ones.
 
     Only the inflation of the best one is used, because a wrong position makes its residuals
-    systematic. The volume of an optimum is ignored, or the vaguest would win. `own_sigma_m` is the
-    standard deviation of the vehicle's position at each measurement.
+    systematic. The volume of an optimum is ignored, or the least certain one would win.
+    `own_sigma_m` is the standard deviation of the vehicle's position at each measurement.
     """
     if not optima:
         return []

@@ -57,15 +57,15 @@ CRITICAL_RATIO = (1.96 + 2.9694 * BANDWIDTH + 0.416 * BANDWIDTH**2 - 0.5324 * BA
 MIN_SLOPE = 0.05
 """Lower limit of the share of measurements on the quadratic part.
 
-Chosen: a variance goes with its inverse square; of less, chance would decide about its size.
+Chosen: a variance scales with its inverse square, which below this is mostly chance.
 """
 PRIOR_COUNT = 4.0
 """Weight of thermal noise in the pooled second moment, in measurements.
 
-Chosen: less lets a few small residuals claim too little noise, more delays what they show.
+Chosen: with less, a few small residuals underestimate the noise; more delays its estimate.
 """
 MAX_CORRELATION = 0.98
-"""Upper limit of a lag-1 correlation: 99 measurements count as one."""
+"""Upper limit of a lag-1 correlation, at which 99 measurements have the weight of one."""
 SIGNIFICANT_SIGMAS = 2.0
 """Standard errors from which a correlation is significant: white residuals exceed it once in 44."""
 MIN_MEASUREMENTS = 12
@@ -326,9 +326,9 @@ def long_run_variance(scores: Vector) -> Matrix:
 
 
 MIN_RISE_SHARE = 0.5
-"""Least share of the predicted rise of the cost at the edge that confirms the curvature.
+"""Minimum share of the predicted rise of the cost at the edge that confirms the curvature.
 
-Chosen: less lets a flat valley pass, more widens an optimum that is merely no parabola.
+Chosen: less accepts a flat valley, more widens an optimum that is merely not parabolic.
 """
 STRETCHES = tuple(1.5**i for i in range(1, 9))
 """Stretch factors that are tried, up to 26.
@@ -338,18 +338,18 @@ Chosen: smaller steps cost more evaluations; between two a profiled cost is inte
 
 
 class Valley(NamedTuple):
-    """Cost about an optimum."""
+    """Cost function around an optimum."""
 
     cost: Callable[[Vector], float]
     """Cost of a state, (k,)."""
     profiled: Callable[[Vector], Steps[float]]
-    """The same with the other states solved again, which is never more."""
+    """The cost minimised over the other states, which is never larger."""
     noise: float
     """Largest variance of the measurements over thermal noise in any direction."""
     is_white: bool = False
     """True if no error is spatially correlated: `cost` alone decides about a stretch."""
     worth: int = 0
-    """Work of one cost, in measurements."""
+    """Work of one evaluation of the cost, in measurements."""
 
 
 def fit_covariance(covariance: Matrix, A: Matrix, mean: Vector, valley: Valley) -> Steps[Matrix]:

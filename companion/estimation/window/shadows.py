@@ -1,8 +1,8 @@
-"""Errors that repeat by position: of every modality, and the shadows of received power.
+"""Spatially correlated errors of every modality, and the shadowing of received power.
 
 A radio's ranges and bearings are fitted (`spatial_noise`), shadows are known beforehand.
 
-What stands between emitter and vehicle weakens all measurements from about the same position. In dB
+Obstacles between emitter and vehicle weaken all measurements from about the same position. In dB
 these shadows are a random field over positions with covariance s^2 exp(-d / l), to which fading
 adds a variance of f^2 for each measurement. Unlike errors of ranges and bearings they are part of
 any received power, so that s, f and l are known before the flight.

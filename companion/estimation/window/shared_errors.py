@@ -134,9 +134,9 @@ class SharedErrors(NamedTuple):
     def within_reach(self, covariance_m2: Matrix, position_enu_m: Point) -> Matrix:
         """Return a position covariance (2, 2), limited in every direction by the radio's reach.
 
-        That the target lies within reach of the path, and what measurements say of it, are two true
-        statements: in every direction the narrower one holds. First-order theory, on which the
-        shared errors rest, has no limit where geometry is singular.
+        The target lies within reach of the path and within its measured covariance: in every
+        direction the narrower one holds. First-order theory, on which the shared errors rest, has
+        no limit where geometry is singular.
         """
         if self.reception is None or np.trace(covariance_m2) <= self.reception.sigma_m**2:
             return covariance_m2

@@ -98,7 +98,8 @@ STEP_ITERATIONS = 4
 """Iterations between two interruptions of a solution, which do not change its result: fewer return
 sooner and cost more."""
 SAME_OPTIMUM_M = 0.3
-"""Distance below which two optima are the same: far below any R95, far above a solution's end."""
+"""Distance below which two optima are the same: far below any R95, far above the solver's
+tolerance."""
 
 Minima = list[tuple[float, Vector]]
 """Costs and states (k,) of local minima, the least first."""
@@ -128,7 +129,7 @@ class WindowMap:
         self.bounds = filter_params.bounds
         """Lower and upper bounds of the state, (2, k)."""
         self.vaguest_sigma_m = max(MAX_POSITION_SIGMA_M, filter_params.reach_m or 0.0)
-        """Standard deviation above which a position is no optimum."""
+        """Standard deviation above which an optimum is rejected, m."""
         self._thermal = tuple(thermal_moment(*pair) for pair in self._thresholds.tolist())
         mean, sigmas = filter_params.prior
         weights = (1.0 / sigmas) ** 2
@@ -249,7 +250,7 @@ class WindowMap:
         """Return the problem linearised at `mean` (k,), for curvature and covariance.
 
         `spread_m2` is the trace of the position covariance: nearer to the target than its root, a
-        bearing is no linear function of the position, and loses information accordingly.
+        bearing is not a linear function of the position, and loses information accordingly.
         """
         last = self._linearised if spread_m2 == 0.0 else None
         if last is not None and last[0] is rows and last[1] is mean and last[2] == self._model:

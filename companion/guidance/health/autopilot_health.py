@@ -108,7 +108,7 @@ class BatteryWatch(Watch):
         return Finding(verdict, Reason.BATTERY_CRITICAL, text, FlightMode.RETURN)
 
     def text(self) -> str:
-        """Return the level in words."""
+        """Return the level as text."""
         return f"battery {self.level.name.lower()}{self._percent()}"
 
     def _percent(self) -> str:
@@ -291,7 +291,7 @@ class LandingWatch(Watch):
         self.is_idle = True
 
     def step(self, now_s: float) -> Finding | None:
-        """Return a hold while the autopilot reports a landing that is doubted."""
+        """Return a hold while the autopilot reports a landing that is doubted, else None."""
         del now_s
         if self.is_idle:
             return None

@@ -141,7 +141,7 @@ class EchoWatch(Watch):
         return is_far
 
     def step(self, now_s: float) -> Finding | None:
-        """Drop old foreign echoes; return a finding on a second source, or on missing echoes."""
+        """Drop old foreign echoes; return a finding on a second source or lost echoes, or None."""
         if self._foreign_s:
             self._foreign_s = [echo for echo in self._foreign_s if echo[1] >= now_s]
         if len(self._foreign_s) < FOREIGN_ECHOES or not self._is_contended(now_s):
@@ -264,7 +264,7 @@ class StickWatch(Watch):
         self._seen_moved_s, self.is_idle = event.time_s, False
 
     def step(self, now_s: float) -> Finding | None:
-        """Return the finding of the sticks; those no longer reported count as not moved."""
+        """Return the finding of moved sticks, or None; those no longer reported are at rest."""
         seen_s, latest = self._seen_moved_s, self._latest
         if latest is not None and now_s - latest.time_s > STALE_S:
             self._moved_s = None

@@ -51,7 +51,7 @@ MAX_TURN_RADPS = math.radians(120.0)
 MAX_GAP_S = 1.0
 """Longest time between two reports that are compared."""
 STEADY_S = 2.0
-"""Time without a jump after which navigation is steady."""
+"""Time without a jump after which navigation is stable."""
 PATIENCE_S = 5.0
 """Longest time for which jumps may continue before the vehicle is handed back."""
 
@@ -161,7 +161,7 @@ class JumpWatch(Watch):
         return self._jumped_m is not None
 
     def step(self, now_s: float) -> Finding | None:
-        """Clear the doubt once the position is steady; hand back if a breach of the fence may come.
+        """Clear the doubt once the position is stable; return a hand-back if unsafe, else None.
 
         An operator who hands control over after the jumps knows where the vehicle is.
         """

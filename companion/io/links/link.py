@@ -68,7 +68,7 @@ class Link(ABC):
 
     @property
     def stamped_descriptor(self) -> int | None:
-        """Descriptor whose data the system stamps with their arrival, so that they may wait."""
+        """Descriptor with kernel receive timestamps, whose data may wait; None: no such one."""
         return None
 
     @abstractmethod

@@ -134,7 +134,7 @@ class Timebase:
         self._wraps = 0
 
     def offset_at_s(self, time_s: float) -> float | None:
-        """Return local minus remote time at a local time, including the shortest delay seen."""
+        """Return local minus remote time, shortest delay included; None before the first stamp."""
         if self._offset_s is None:
             return None
         return self._offset_s + self.rate.growth * (time_s - self._updated_s)
@@ -184,7 +184,7 @@ class Timebase:
         return StampReading(min(now_s, remote_s + self._offset_s - self.rate.growth * late_s))
 
     def _fit_rate(self, now_s: float) -> float | None:
-        """Fit the rate by arrival; return the smallest offset now if it has just become known."""
+        """Fit the rate by arrival; return the smallest offset if just determined, or None."""
         if len(self._minima) < FEWEST_BUCKETS:
             return None
         times_s, offsets_s = zip(*self._minima, strict=True)

@@ -144,7 +144,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return None
 
     def _throttle_refusal(self, now_s: float) -> str | None:
-        """Reason why a throttle that is held keeps it from being armed; at rest it is down.
+        """Return the reason why a held throttle prevents arming, or None; at rest it is down.
 
         Source: ArduPilot `AP_Arming::rc_arm_checks` (4.5), with RC_OPTIONS as by default.
         """
@@ -196,7 +196,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             self.settle(now_s, "pilot")
 
     def _mode_refusal(self, mode: CopterMode, now_s: float) -> str | None:
-        """Return the reason to refuse a mode; none while disarmed, as the arming checks follow."""
+        """Return the reason to refuse a mode; None also while disarmed, as arming checks follow."""
         if not self.is_armed:
             return None
         if mode.needs_position and not self.has_position(now_s):
@@ -262,7 +262,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.settle(now_s)
 
     def echo(self) -> Echo | None:
-        """Return the target of GUIDED, and nothing in any other mode."""
+        """Return the target of GUIDED; None in any other mode."""
         if self.copter_mode is not GUIDED:
             return None
         return self.guided.echo(self.aircraft.pilot.goal_enu_m)

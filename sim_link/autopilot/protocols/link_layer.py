@@ -314,7 +314,7 @@ class LinkLayer:
         self._versions[self._sent_as(channel)].observe(frame)
 
     def take_setup(self) -> SigningSetup | None:
-        """Take the signing setup of a client, in force already; a shell stores the key."""
+        """Take the signing setup of a client, already in force, or None; a shell stores the key."""
         setup, self._setup = self._setup, None
         return setup
 

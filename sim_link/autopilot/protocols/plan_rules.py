@@ -143,7 +143,7 @@ def _meaning_problem(item: PlanItem) -> PlanResult | None:
 
 
 def plan_problem(items: Sequence[PlanItem], plan_type: PlanType) -> PlanResult | None:
-    """Return the reason why valid items make no valid plan: torn polygons, jumps beyond the end."""
+    """Return the reason why valid items form no plan, such as an incomplete polygon, or None."""
     if plan_type is PlanType.FENCE:
         return _fence_problem(items)
     for item in items:

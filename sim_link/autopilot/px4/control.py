@@ -333,7 +333,7 @@ class Px4Failsafes:
 
     @property
     def flown(self) -> Reaction | None:
-        """The reaction that is flown now: a hold while the worst one waits."""
+        """Reaction in force now: a hold while the worst one is delayed; None: no failsafe."""
         if self.worst is None:
             return None
         _, reaction = self.worst

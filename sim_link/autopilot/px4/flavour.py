@@ -256,7 +256,7 @@ class Px4Flavour(AutopilotFlavour):
         )
 
     def disarm_delay_s(self) -> float | None:
-        """Return the delay after a landing; OFFBOARD never ends by itself, as on PX4."""
+        """Return the delay after a landing, s; None in OFFBOARD, which never disarms by itself."""
         if self.mode is FlightMode.OFFBOARD and self.aircraft.has_flown:
             return None
         is_landing = self.mode in (FlightMode.LAND, FlightMode.RETURN)

@@ -123,7 +123,7 @@ class WireLink:
         self._wake.set()
 
     def another(self) -> WireLink | None:
-        """Return a second client, where the peer is reached by connecting to it."""
+        """Return a second client; None if the peer is not reached by connecting to it."""
         if not isinstance(self._spec, transports.UdpConnect | transports.TcpClient):
             return None
         other = WireLink(self._spec, self._loop)

@@ -290,7 +290,7 @@ def summary(outcomes: Sequence[RuleOutcome]) -> str:
 
 
 def listing(rules: Iterable[Rule]) -> list[str]:
-    """Return the rules in words, with their sources and each flavour's deviation."""
+    """Return the text of the rules, with their sources and each flavour's deviation."""
     lines = []
     for rule in rules:
         flavours = ", ".join(sorted(flavour.value for flavour in rule.flavours))

@@ -43,7 +43,7 @@ class StepOutcome:
     """Number of the step, from 1."""
     name: str
     what: str
-    """Relevant parameters, in words."""
+    """Text of the relevant parameters."""
     started_s: float
     ended_s: float
     failure: str = ""
@@ -121,7 +121,7 @@ class FlightRecord:
     """Processor time that it took, where it was flown in one process; neither."""
 
     def last_estimate(self, emitter: int) -> EstimatePoint | None:
-        """Return the last estimate of an emitter before its report.
+        """Return the last estimate of an emitter before its report; None without one.
 
         A vehicle continues to measure on its way home, at low height and behind obstacles. Records
         without an id apply to every emitter.
@@ -134,7 +134,7 @@ class FlightRecord:
         return None
 
     def report_of(self, emitter: int) -> Report | None:
-        """Return the last report about an emitter."""
+        """Return the last report about an emitter; None without one."""
         return next((r for r in reversed(self.reports) if r.emitter in (emitter, None)), None)
 
     def without_history(self, emitter: int) -> FlightRecord:
@@ -201,7 +201,7 @@ def _judge(expectation: Expectation, mission: Mission, record: FlightRecord) -> 
 
 
 Judged = tuple[bool, str]
-"""True if an expectation is met, and the finding in words."""
+"""True if an expectation is met, and the text of the finding."""
 
 
 def _final_error(bound: EmitterBound, mission: Mission, record: FlightRecord, of: str) -> Judged:
@@ -376,12 +376,12 @@ class MissionResult:
 
     @property
     def last_estimate(self) -> EstimatePoint | None:
-        """Last estimate of the first emitter."""
+        """Last estimate of the first emitter; None without one."""
         return self.record.last_estimate(self.mission.emitter.emitter_id)
 
     @property
     def final_error_m(self) -> float | None:
-        """Error of the last estimate of the first emitter, in m."""
+        """Error of the last estimate of the first emitter, m; None without one."""
         point = self.last_estimate
         return None if point is None else self.error_m(point)
 
@@ -395,7 +395,7 @@ class MissionResult:
 
     @property
     def is_inside_r95(self) -> bool | None:
-        """True if the true emitter is within R95 of the last estimate."""
+        """True if the true emitter is within R95 of the last estimate; None without one."""
         point = self.last_estimate
         return None if point is None else self.error_m(point) <= point.r95_m
 

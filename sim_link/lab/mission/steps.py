@@ -178,7 +178,7 @@ class StepRule:
     """Action of a step, and the condition that ends it."""
 
     what: str
-    """Condition that it waits for, in words."""
+    """Text of the condition that it waits for."""
     is_met: Condition
     action: Action | None = None
     has_begun: Condition | None = None

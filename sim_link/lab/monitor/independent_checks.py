@@ -236,7 +236,7 @@ class Followed:
 
 
 def _sign_of(frame: Frame) -> tuple[float | None, tuple[float, float, float] | None]:
-    """Return the stamp and position in a frame, where it has them."""
+    """Return the boot time, s, and NED position in a frame; None for each that it lacks."""
     message, position = frame.message, None
     if not isinstance(message, STAMPED) or not message.time_boot_ms:
         return None, None

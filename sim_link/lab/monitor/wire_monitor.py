@@ -139,7 +139,7 @@ class HeardScene(ObservedScene):
         super(HeardScene, self).observe(frame)
 
     def setpoint_of(self, frame: Frame) -> SentSetpoint | None:
-        """Return the setpoint in a frame that the companion sent, at the time of its stamp."""
+        """Return the setpoint in a frame of the companion at its stamp; None: no setpoint."""
         setpoint = super(HeardScene, self).setpoint_of(frame)
         if setpoint is None:
             return None

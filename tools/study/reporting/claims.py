@@ -90,7 +90,7 @@ class Findings:
         return _flown(self.find(system, *tables))
 
     def peer(self, cell: CellResult, system: System) -> CellResult | None:
-        """Return another system in the same row of the same table."""
+        """Return another system in the same row of the same table, or None."""
         cell_key = (cell.table, cell.parameter, cell.value)
         for other in self.cells:
             if (other.table, other.parameter, other.value) == cell_key and other.system == system:
@@ -98,7 +98,7 @@ class Findings:
         return None
 
     def paper_m(self, cell: CellResult) -> float | None:
-        """Return the final RMSE that the paper prints."""
+        """Return the final RMSE that the paper prints, m, or None."""
         return self._paper.get((cell.table, cell.parameter, cell.value, cell.system.label))
 
 

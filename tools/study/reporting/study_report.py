@@ -129,7 +129,7 @@ def title_of(results: Sequence[StudyResult]) -> str:
 
 
 def verdict_line(claims: Sequence[Claim]) -> str:
-    """Count the claims that are met, in words."""
+    """Return the text of the number of claims met."""
     if not claims:
         return ""
     met = sum(claim.is_met for claim in claims)
