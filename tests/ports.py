@@ -1,6 +1,6 @@
 """Ports of this machine that are a test's own until its process ends.
 
-A port that is picked by binding 0 and closing again is anybody's: the system hands it out anew to
+A port that is picked by binding 0 and closing again is not reserved: the system may assign it to
 the next socket, of another worker for instance, before the process that it was picked for is there.
 Those below the system's own range are never handed out, and a name in the abstract namespace, which
 vanishes with its process, keeps other tests of this machine away.

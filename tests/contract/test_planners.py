@@ -350,7 +350,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("estimate", HOSTILE.values(), ids=HOSTILE)
 @pytest.mark.parametrize("has_fence", [True, False])
-def test_whatever_it_is_told_the_waypoint_is_a_place(
+def test_whatever_it_is_reported_the_waypoint_is_a_place(
     planner: Planner[Any], estimate: TargetEstimate, has_fence: bool
 ) -> None:
     square = ((-60.0, -60.0), (60.0, -60.0), (60.0, 60.0), (-60.0, 60.0))

@@ -192,7 +192,7 @@ def until(condition: Callable[[], bool], otherwise: str) -> None:
 
 def until_up(url: str) -> None:
     """Wait until a server answers at an address."""
-    until(lambda: is_up(url), f"nobody answers at {url}")
+    until(lambda: is_up(url), f"no answer at {url}")
 
 
 def is_up(url: str) -> bool:

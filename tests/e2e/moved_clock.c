@@ -1,4 +1,4 @@
-/* Moves the wall clock of one program, as if somebody had set it; its other clocks go on.
+/* Moves the wall clock of one program, as if a user had set it; its other clocks go on.
 
    LD_PRELOAD=moved_clock.so MOVED_CLOCK=FILE: the seconds in FILE, as text, are added to the time. */
 #define _GNU_SOURCE

@@ -163,7 +163,7 @@ STEP: Steps = {
         Edit(
             "sim_link/lab/mission/script.py",
             '''class StandStep(StepParams, frozen=True):
-    """Wait until the vehicle stands, disarmed, whoever lands it."""
+    """Wait until the vehicle stands, disarmed, by whichever mode."""
 
     limit_s: Limit = 60.0
 
@@ -226,7 +226,7 @@ TEXT: Steps = {
             "tests/unit/companion/link/test_radio_watch.py",
             """
 
-def test_a_loose_plug_is_told_once() -> None:
+def test_a_loose_plug_is_reported_once() -> None:
     watch = watch_of()
     for _ in range(3):
         watch.stage.receive(b"", 0.0)

@@ -189,7 +189,7 @@ def answer_to(sender: socket.socket, frame: Callable[[], bytes], address: tuple[
         sender.sendto(frame(), address)
         with suppress(TimeoutError):
             return sender.recv(2048)
-    pytest.fail("nobody answered")
+    pytest.fail("no answer")
 
 
 @pytest.mark.slow

@@ -123,7 +123,7 @@ def is_whole_fence_seen(page: Page) -> bool:
     return seen[0] < fence[0] and fence[0] + fence[2] < seen[0] + seen[2]
 
 
-def test_it_follows_until_somebody_wants_the_whole_and_rings_stay_few(
+def test_it_follows_until_the_whole_is_requested_and_rings_stay_few(
     browser: Browser, tmp_path: Path
 ) -> None:
     with live_flight(tmp_path, begins=False, config=ENDLESS) as live:

@@ -156,7 +156,7 @@ def choose(live: LiveFlight, mode: FlightMode) -> None:
     live.flight.sim.vehicle.flavour.pilot_chooses(mode, live.flight.now_s)
 
 
-def test_a_press_that_nobody_answers_is_reported(browser: Browser, tmp_path: Path) -> None:
+def test_a_press_without_an_answer_is_reported(browser: Browser, tmp_path: Path) -> None:
     with live_flight(tmp_path, config=ENDLESS) as live:
         watched = Watched(browser, live.settings.url, DESK)
         expect(watched.page.locator("#phase")).to_contain_text(FLYING)

@@ -121,7 +121,7 @@ def test_mavproxy_commands_an_ardupilot(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_mavproxy_is_told_why_arming_is_refused(flavour: str, tmp_path: Path) -> None:
+def test_mavproxy_is_reported_why_arming_is_refused(flavour: str, tmp_path: Path) -> None:
     with connected(flavour, tmp_path) as mavproxy:
         mavproxy.ask(PX4_LAND if flavour == "px4" else "mode LAND", "Mode LAND|LAND>")
         refused = "TEMPORARILY_REJECTED" if flavour == "px4" else "FAILED"

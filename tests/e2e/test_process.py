@@ -241,7 +241,7 @@ def test_the_service_manager_hears_that_it_is_ready_alive_and_stopping(
     assert heard[0] == "READY=1"
 
 
-def test_a_terminal_that_nobody_reads_holds_up_nothing(folder: Path, port: int) -> None:
+def test_a_terminal_that_is_not_read_blocks_nothing(folder: Path, port: int) -> None:
     url = f"udp:127.0.0.1:{port}"
     reader, writer = os.pipe()
     os.set_blocking(writer, False)

@@ -378,7 +378,7 @@ def test_a_program_that_is_asked_periodically_is_never_lost(
     assert said == []
 
 
-def test_a_file_is_followed_from_its_end_and_when_it_is_begun_anew(
+def test_a_file_is_followed_from_its_end_and_when_it_is_begun_again(
     listener: Listener, tmp_path: Path
 ) -> None:
     path = tmp_path / "log.txt"

@@ -133,7 +133,7 @@ def test_what_names_no_peer_goes_to_every_client_but_the_excepted_one() -> None:
     assert shell.links[0].counters.sent == 5
 
 
-def test_a_client_that_leaves_disturbs_nobody() -> None:
+def test_a_client_that_leaves_disturbs_no_other() -> None:
     endpoint = Echo()
 
     async def scene(shell: Shell) -> None:

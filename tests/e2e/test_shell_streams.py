@@ -77,7 +77,7 @@ def test_a_tcp_client_connects_late_and_again(monkeypatch: pytest.MonkeyPatch) -
     endpoint, port = EchoEndpoint(), free_port()
 
     async def scene(shell: Shell) -> None:
-        endpoint.say(Chunk(0, b"nobody is there"))
+        endpoint.say(Chunk(0, b"no peer is there"))
         await until(lambda: shell.links[0].counters.dropped == 1)
         for mark in (1, 2):
             with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:

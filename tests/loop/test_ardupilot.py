@@ -154,7 +154,7 @@ def test_a_companion_that_dies_leaves_the_vehicle_at_its_last_target() -> None:
 
 
 @pytest.mark.slow
-def test_a_heartbeat_that_somebody_stopped_is_asked_for_and_a_pilots_mode_is_seen() -> None:
+def test_a_stopped_heartbeat_is_requested_and_a_pilots_mode_is_seen() -> None:
     loop = flying()
     stop = mavlink.MAVLink_command_long_message(
         1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, 0.0, -1.0, 0, 0, 0, 0, 0

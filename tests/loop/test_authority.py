@@ -228,7 +228,7 @@ def test_a_bad_link_raises_no_alarm(flavour: FlavourName, faults: LinkFaults, se
 
 
 @pytest.mark.slow
-def test_setpoints_that_do_not_arrive_are_told_of() -> None:
+def test_setpoints_that_do_not_arrive_are_announced() -> None:
     """PX4 leaves offboard then; ArduPilot says nothing."""
     loop = flying("ardupilot")
     inject(loop, LinkBlackout(direction="to_vehicle", duration_s=10.0))

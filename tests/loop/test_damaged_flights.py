@@ -126,7 +126,7 @@ def test_two_thousand_damaged_blocks_cost_no_flight(flown: Path, tmp_path: Path)
         try_damage(flown, tmp_path / "copy", LOGS[seed % len(LOGS)], seed)
 
 
-def test_a_lost_page_of_the_inputs_is_told_and_the_rest_of_the_flight_goes_on(
+def test_a_lost_page_of_the_inputs_is_reported_and_the_rest_of_the_flight_goes_on(
     flown: Path, tmp_path: Path
 ) -> None:
     directory = tmp_path / "copy"

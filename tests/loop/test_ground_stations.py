@@ -138,7 +138,7 @@ def test_no_question_for_the_time_reaches_a_station(flavour: FlavourName) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("component", [0, 1])
-def test_a_station_that_repositions_the_vehicle_is_told_of_and_overruled(component: int) -> None:
+def test_a_station_that_repositions_the_vehicle_is_announced_and_overruled(component: int) -> None:
     watched = WatchedFlight("ardupilot")
     flight = watched.flight
     run_until(flight, lambda: flight.companion.session.phase is Phase.NORMAL, 40.0)

@@ -51,7 +51,7 @@ class UnreadFrames(Observer):
 
 
 @pytest.mark.parametrize(("config", "least", "most"), [(AUTO, 1500, 2500), (STOPPING, 0, 0)])
-def test_what_nobody_reads_stops_only_where_that_is_wanted(
+def test_unread_streams_stop_only_where_that_is_configured(
     config: CompanionConfig, least: int, most: int
 ) -> None:
     flight = Flight(config, Scenario(), 1, MemoryJournal())

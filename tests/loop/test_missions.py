@@ -91,7 +91,7 @@ BROKEN = {
     "reported_s": {"at_most": 0},
     "time_s": {"at_most": 1},
     "distance_m": {"at_most": 1},
-    "appears": {"text": "nobody says this"},
+    "appears": {"text": "never announced"},
     "never": {"message": "RADIO_RANGING"},
     "holds": "vehicle.is_armed",
     "always": "vehicle.height_m < 5",
@@ -119,7 +119,7 @@ def test_a_companion_that_leaves_the_fence_breaks_what_is_expected_of_the_invari
     assert "I1" in {violated.invariant for violated in result.record.violations}
 
 
-def test_every_kind_of_expectation_is_broken_somewhere_here() -> None:
+def test_every_kind_of_expectation_is_broken_by_a_flight_here() -> None:
     kinds = {field.name for field in msgspec.structs.fields(Expectation)} - {"name"}
     assert BROKEN.keys() | {"violations"} == kinds
 

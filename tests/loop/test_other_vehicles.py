@@ -140,7 +140,7 @@ def test_a_neighbour_with_our_ids_at_another_address_is_not_flown_while_ours_is_
     sky = in_control(flavour)
     sky.add(OURS_1_1)
     sky.run(2.0)
-    assert sky.phase in IN_CONTROL  # ours is heard: whoever else sends is ignored
+    assert sky.phase in IN_CONTROL  # ours is heard: other senders are ignored
     sky.add(LinkBlackout(duration_s=silent_s))
     sky.run(silent_s)
     assert sky.phase is Phase.YIELD

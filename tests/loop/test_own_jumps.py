@@ -102,7 +102,7 @@ def searching(flavour: FlavourName = "px4") -> Loop:
 def test_a_jump_out_of_bounds_moves_nothing_and_is_handed_back(
     shift_enu_m: PositionEnu, flavour: FlavourName
 ) -> None:
-    """Nobody knows which of the two positions was right: the way back may be the way out."""
+    """It is unknown which of the two positions was right: the way back may be the way out."""
     loop = searching(flavour)
     loop.sim.vehicle.estimator.jump(shift_enu_m, 0.0)
     jumped_s, before = loop.now_s, len(loop.true_positions)

@@ -51,7 +51,7 @@ def test_the_projection_that_is_expected_is_right_without_a_word(flavour: Flavou
 
 
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_another_projection_is_told_once_and_places_are_right_a_kilometre_away(
+def test_another_projection_is_reported_once_and_places_are_right_a_kilometre_away(
     flavour: FlavourName, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(PROJECTION_OF, flavour, Projection.ELLIPSOID)

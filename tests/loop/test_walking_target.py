@@ -76,7 +76,7 @@ def test_no_position_is_reported_of_a_target_that_walks_fast(speed_mps: float, s
     assert loop.notes.results == []
 
 
-def test_a_target_that_lies_still_is_found_and_nothing_is_told_of_a_walk() -> None:
+def test_a_target_that_lies_still_is_found_and_nothing_is_announced_a_walk() -> None:
     loop = Loop(seed=3, payload_source=WalkingRadio(lambda _: (50.0, 50.0), seed=3))
     loop.run_until(lambda: bool(loop.notes.results), 120.0)
     assert loop.error_m <= 1.5
@@ -101,7 +101,7 @@ def elsewhere(time_s: float) -> Point:
 @pytest.mark.parametrize(
     ("walk", "flight_s"), [(away, 80.0), (along_the_border, 100.0), (elsewhere, 100.0)]
 )
-def test_a_target_that_leaves_the_fence_is_told_of_and_never_followed(
+def test_a_target_that_leaves_the_fence_is_announced_and_never_followed(
     walk: Walk, flight_s: float
 ) -> None:
     half_m = 65.0

@@ -143,7 +143,7 @@ def test_a_jump_of_the_heading_shows_in_the_reports_and_turns_the_vehicle_back()
     assert station.sim.vehicle.body.yaw_ned_rad == pytest.approx(math.radians(-30.0), abs=0.01)
 
 
-def test_a_shifted_origin_is_told_and_moves_only_the_local_frame() -> None:
+def test_a_shifted_origin_is_reported_and_moves_only_the_local_frame() -> None:
     station = px4()
     before, true = station.position, station.sim.vehicle.body.position_enu_m
     station.inbox.clear()
@@ -223,7 +223,7 @@ def test_arducopter_answers_a_poor_estimate_by_its_parameter(action: int, number
 
 
 @pytest.mark.parametrize(("action", "number"), [(1, STABILIZE), (2, STABILIZE), (3, LAND)])
-def test_arducopter_leaves_a_mode_without_position_alone_unless_told_otherwise(
+def test_arducopter_leaves_a_mode_without_position_alone_unless_configured_otherwise(
     action: int, number: int
 ) -> None:
     station = copter({"FS_EKF_ACTION": action})

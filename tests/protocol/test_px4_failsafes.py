@@ -136,7 +136,7 @@ def test_a_transmitter_that_is_lost_returns_and_shows_in_the_health() -> None:
     station.run(25.2 - station.now_s)
     assert station.mode is FlightMode.RETURN
     station.run(5.0)
-    assert station.mode is FlightMode.RETURN, "regained, it goes on until somebody chooses a mode"
+    assert station.mode is FlightMode.RETURN, "regained, it goes on until a mode is selected"
     assert station.set_mode(FlightMode.HOLD) == ACCEPTED
     assert station.status == mavlink.MAV_STATE_ACTIVE
 
@@ -245,7 +245,7 @@ def test_an_estimate_that_jumps_moves_what_is_reported_and_what_is_flown() -> No
     assert station.sim.vehicle.body.position_enu_m[0] == pytest.approx(2.0, abs=0.1)
 
 
-def test_origin_and_home_move_apart_and_are_told() -> None:
+def test_origin_and_home_move_apart_and_are_reported() -> None:
     station = flying()
     before = station.sim.vehicle.body.position_enu_m
     origin = mavlink.MAVLink_set_gps_global_origin_message(1, 473977420, 85460000, 480000)

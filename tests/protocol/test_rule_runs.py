@@ -201,7 +201,7 @@ def test_ctrl_c_in_flight_lands_restores_and_tells(flavour: Flavour) -> None:
     trial.require_left_in_order()
 
 
-def test_ctrl_c_before_anything_is_heard_is_told_too() -> None:
+def test_ctrl_c_before_anything_is_heard_is_reported_too() -> None:
     trial = MemoryRun(Flavour.PX4, VehicleReboot(start_s=0.0, down_s=NEVER_S), stop_s=3.0)
     assert trial.try_rules(HEARTBEAT, FLIES_FAR) == ["NOT RUN", "NOT RUN"]
     assert exit_code(trial.run.outcomes) == 1

@@ -107,7 +107,7 @@ def test_every_client_of_a_port_gets_the_rates_that_it_asked_for(flavour: Flavou
     assert heard == [pytest.approx(pair, rel=0.05) for pair in wanted]
 
 
-def test_whoever_asked_for_nothing_keeps_the_defaults() -> None:
+def test_a_client_that_requested_nothing_keeps_the_defaults() -> None:
     port = Port("px4", PORTS[0], LURKER)
     port.run(3.0)
     port.clear()
@@ -120,7 +120,7 @@ def test_whoever_asked_for_nothing_keeps_the_defaults() -> None:
     assert len(port.clients[0].messages(mavlink.MAVLink_attitude_message)) <= 3
 
 
-def test_nobody_sees_a_gap_in_the_sequence_numbers_when_a_client_is_kept_apart() -> None:
+def test_no_client_sees_a_gap_in_the_sequence_numbers_when_one_is_kept_apart() -> None:
     port = Port("px4", PORTS[0], LURKER)
     port.run(3.0)
     port.ask(port.clients[0], ATTITUDE, 7.0)

@@ -83,7 +83,7 @@ def test_a_key_over_the_radio_is_not_taken(flavour: Flavour) -> None:
 
 @FLAVOURS
 @pytest.mark.parametrize("target", [(77, 1), (1, 77), (0, 0)])
-def test_a_key_for_somebody_else_or_for_everyone_is_not_taken(
+def test_a_key_for_another_system_or_for_all_is_not_taken(
     flavour: Flavour, target: tuple[int, int]
 ) -> None:
     wire, radio = clients(flavour)

@@ -141,7 +141,7 @@ def test_requesting_what_it_does_not_have_is_denied(station: GroundStation, numb
     assert station.command(REQUEST_MESSAGE, number) == DENIED
 
 
-def test_origin_and_home_are_told_apart(station: GroundStation) -> None:
+def test_origin_and_home_are_distinguished(station: GroundStation) -> None:
     assert station.all(mavlink.MAVLink_gps_global_origin_message)
     station.inbox.clear()
     assert station.command(REQUEST_MESSAGE, 49.0) == ACCEPTED
@@ -180,7 +180,7 @@ def test_the_payload_answers_that_it_knows_no_command(station: GroundStation) ->
 
 
 @pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191), (0, 7), (0, 0)])
-def test_commands_for_nobody_are_answered_by_failed(
+def test_commands_for_an_absent_target_are_answered_by_failed(
     station: GroundStation, system: int, component: int
 ) -> None:
     assert station.command(ARM, 1.0, system=system, component=component) == FAILED
@@ -190,7 +190,7 @@ def test_commands_for_nobody_are_answered_by_failed(
     assert not station.is_armed
 
 
-def test_a_command_for_somebody_who_was_heard_is_left_to_him(station: GroundStation) -> None:
+def test_a_command_for_a_system_that_was_heard_is_left_to_it(station: GroundStation) -> None:
     heartbeat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     station.sim.receive(Chunk(0, MavCodec(1, 191).encode(heartbeat), ("127.0.0.1", 2)), 2.5)
     station.run(0.1)

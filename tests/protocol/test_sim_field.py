@@ -78,7 +78,7 @@ def test_it_stays_on_the_ground_until_it_is_sent_up_and_home_is_where_it_believe
     assert vehicle.home_enu_m != vehicle.body.position_enu_m
 
 
-def test_the_compass_error_is_in_the_heading_that_is_told_and_flown() -> None:
+def test_the_compass_error_is_in_the_heading_that_is_reported_and_flown() -> None:
     station = flying(Scenario(navigation=ERRS), yaw=0.5, mask=0x09F8)
     reported = station.last(mavlink.MAVLink_attitude_message)
     assert reported.yaw == pytest.approx(0.5, abs=0.01)

@@ -72,7 +72,7 @@ def state(station: GroundStation) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_every_waypoint_is_reached_in_order_and_told(flavour: FlavourName) -> None:
+def test_every_waypoint_is_reached_in_order_and_reported(flavour: FlavourName) -> None:
     station = station_of(flavour, OUT)
     assert state(station) == 2
     start(station, flavour)

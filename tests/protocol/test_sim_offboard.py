@@ -362,7 +362,7 @@ def test_nothing_protects_the_vehicle_from_a_setpoint_far_away(station: GroundSt
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9, -1e9])
-def test_senseless_parameters_are_stored_and_harm_nobody_but_the_flight(value: float) -> None:
+def test_senseless_parameters_are_stored_and_harm_only_the_flight(value: float) -> None:
     station = GroundStation()
     station.fly_offboard()
     store = station.sim.vehicle.flavour.parameters

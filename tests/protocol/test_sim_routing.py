@@ -68,7 +68,7 @@ def test_a_command_for_the_vehicle_stays_with_it() -> None:
 
 
 @pytest.mark.parametrize("target", [(77, 1), (1, 100)])
-def test_a_command_for_an_unknown_target_goes_to_nobody(target: tuple[int, int]) -> None:
+def test_a_command_for_an_unknown_target_is_not_forwarded(target: tuple[int, int]) -> None:
     chunks = Shared().send(STATION, command(*target))
     (ack,) = [message for chunk in chunks for message in MavCodec(9, 9).decode(chunk.data)]
     assert (ack.get_type(), ack.get_srcComponent()) == ("COMMAND_ACK", 1)

@@ -10,7 +10,7 @@ from companion.run import PeriodicTasks
 from tests.unit.companion.process.rig import WatchedNotes, an_endpoint
 
 
-def test_a_chore_that_raises_is_told_once_and_not_done_again(
+def test_a_chore_that_raises_is_reported_once_and_not_done_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     done: list[str] = []

@@ -40,7 +40,7 @@ def test_what_is_read_arrives_as_before(monkeypatch: pytest.MonkeyPatch) -> None
         assert not sys.stdout.isatty()
 
 
-def test_what_nobody_reads_is_dropped_and_nothing_is_raised(
+def test_unread_output_is_dropped_and_nothing_is_raised(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with read_output(monkeypatch) as reader:
@@ -50,7 +50,7 @@ def test_what_nobody_reads_is_dropped_and_nothing_is_raised(
         sys.stdout.flush()
 
 
-def test_a_stream_that_somebody_put_in_its_place_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_that_replaced_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     other = io.StringIO()
     monkeypatch.setattr(sys, "stdout", other)
     ignore_broken_pipe()

@@ -48,7 +48,7 @@ def test_a_hostile_name_stays_a_name() -> None:
     assert features(geojson([handoff(HOSTILE)]))[0]["properties"]["emitter"] == HOSTILE
 
 
-def test_both_radii_are_told_and_whose_error_is_in_them() -> None:
+def test_both_radii_are_reported_and_whose_error_is_in_them() -> None:
     own = PositionAccuracy(1.5, 2.0, is_reported=True)
     point, ellipse = features(geojson([handoff(own=own, height_sigma_m=1.5)]))
     about = point["properties"]

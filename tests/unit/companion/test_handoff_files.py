@@ -38,7 +38,7 @@ def test_without_an_origin_there_is_nothing_to_hand_over() -> None:
 
 
 def test_the_grid_is_no_finer_than_others_find_it() -> None:
-    """A metre for the vehicle, ten for whoever comes with another receiver."""
+    """A metre for the vehicle, ten for a team with another receiver."""
     (line,) = HandoffFiles().files(report(1, 8.0), 0.0)[TEXT].splitlines()
     grid = line.split("  ")[0].split(": ")[1]
     assert [len(part) for part in grid.split()[2:]] == [4, 4]

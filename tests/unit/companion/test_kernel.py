@@ -61,7 +61,7 @@ def test_a_kernel_that_was_not_compiled_stays_as_it_is(monkeypatch: pytest.Monke
     assert module.kernel(scaled) is scaled
 
 
-def test_records_are_told_by_their_class_and_tuples_by_their_length() -> None:
+def test_records_are_reported_by_their_class_and_tuples_by_their_length() -> None:
     model = RangingModel(*range(9))
     assert kind_of(model) == "companion.estimation.measurement_model.RangingModel"
     assert kind_of((1.0, 2.0)) == "tuple 2"

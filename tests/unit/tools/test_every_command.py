@@ -104,7 +104,7 @@ def test_commands_for_copying_are_understood(page: Path) -> None:
             pytest.fail(f"{shlex.join(words)}: {error}")
 
 
-def test_a_command_that_nobody_understands_is_found() -> None:
+def test_a_command_that_is_not_understood_is_found() -> None:
     for text in ("companion demo --sped 4", "sim-link --sed 7", "make dmo", "gadget --on"):
         with pytest.raises(Exception, match=r"\w"):
             understand(shlex.split(text))

@@ -13,7 +13,7 @@ def test_a_page_has_the_figures_of_its_json(table: Table) -> None:
     assert table.written(text) == text, "run tools/release/measured_tables.py"
 
 
-def test_a_page_without_marks_is_told() -> None:
+def test_a_page_without_marks_is_reported() -> None:
     with pytest.raises(ValueError, match="has no `<!-- measured: process -->`"):
         TABLES[0].written("# Install\n")
 

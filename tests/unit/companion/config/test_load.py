@@ -229,7 +229,7 @@ name: [1]
     ]
 
 
-def test_more_problems_than_anybody_reads_are_cut_off() -> None:
+def test_a_long_list_of_problems_is_cut_off() -> None:
     text = "\n".join(f"key_{number}: 1" for number in range(1000))
     with pytest.raises(ConfigError) as caught:
         parse_yaml(text, Settings, "site.yaml")

@@ -75,7 +75,7 @@ def test_a_scenario_may_be_named_and_brings_the_preset_of_its_name(
     assert scenario_named(file) == (file, None)
 
 
-def test_a_scenario_that_there_is_not_is_told_beside_those_that_there_are() -> None:
+def test_a_scenario_that_there_is_not_is_reported_beside_those_that_there_are() -> None:
     with pytest.raises(ConfigError, match=r"field/rubl: no such file.*field/rubble"):
         scenario_named(Path("field/rubl"))
 

@@ -213,7 +213,7 @@ def test_a_stream_that_this_autopilot_does_not_send_now_is_not_missed(
     assert finding_about(name, autopilot_with(rates=(slow,), **changes)).level is Level.WARN
 
 
-def test_memory_and_processor_time_are_told() -> None:
+def test_memory_and_processor_time_are_reported() -> None:
     facts = link_with(resident_mb=66.2, processor_pct=3.14)
     assert finding_about("process", facts).text == "66 MB, 3.1 % of one core for these streams"
 

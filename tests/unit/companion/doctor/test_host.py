@@ -24,14 +24,14 @@ def test_a_place_is_written_to_and_left_as_it_was(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "flights") == []
 
 
-def test_a_place_that_cannot_be_is_told_in_words(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_is_reported_as_text(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     folder = inspect_folder(tmp_path / "file" / "flights")
     assert folder.problem == "Not a directory"
     assert folder.free_mb is None
 
 
-def test_a_key_that_others_may_read_is_told(tmp_path: Path) -> None:
+def test_a_key_that_others_may_read_is_reported(tmp_path: Path) -> None:
     key = tmp_path / "signing.key"
     key.write_text("ab" * 32)
     key.chmod(0o644)

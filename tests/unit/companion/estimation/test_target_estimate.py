@@ -54,7 +54,7 @@ def _stated(
     )
 
 
-def test_one_place_is_told_with_the_vehicles_own_error() -> None:
+def test_one_place_is_reported_with_the_vehicles_own_error() -> None:
     estimate = _stated(_hypothesis())
     assert estimate.position_enu_m == (0.0, 10.0)
     np.testing.assert_allclose(estimate.covariance_m2, 0.25 * np.eye(2))
@@ -71,7 +71,7 @@ def test_a_vague_place_is_still_being_searched() -> None:
     assert estimate.state is EstimateState.SEARCHING
 
 
-def test_a_filter_that_was_started_anew_is_diverged_whatever_it_says() -> None:
+def test_a_filter_that_was_started_again_is_diverged_whatever_it_says() -> None:
     assert _stated(_hypothesis(), is_diverged=True).state is EstimateState.DIVERGED
     two = (_hypothesis(0.0, 0.5), _hypothesis(50.0, 0.5))
     estimate = _stated(*two, is_diverged=True)
@@ -79,7 +79,7 @@ def test_a_filter_that_was_started_anew_is_diverged_whatever_it_says() -> None:
     assert estimate.alternative_enu_m is None
 
 
-def test_two_likely_places_are_ambiguous_and_both_are_told() -> None:
+def test_two_likely_places_are_ambiguous_and_both_are_reported() -> None:
     estimate = _stated(_hypothesis(0.0, 0.6), _hypothesis(50.0, 0.4))
     assert estimate.state is EstimateState.AMBIGUOUS
     assert estimate.position_enu_m == (0.0, 10.0)
@@ -100,7 +100,7 @@ def test_an_unlikely_one_does_not_count(probability: float, state: EstimateState
 
 
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.99])
-def test_places_too_vague_to_be_told_apart_keep_the_circle_of_both(probability: float) -> None:
+def test_places_too_vague_to_be_distinguished_keep_the_circle_of_both(probability: float) -> None:
     both = [
         _hypothesis(-2.7, probability, sigma_m=2.5, least_m=2.5),
         _hypothesis(2.7, 1.0 - probability, sigma_m=2.5, least_m=2.5),
@@ -126,7 +126,7 @@ def test_certainty_is_not_below_what_the_window_found() -> None:
     assert _stated(_hypothesis(least_m=5.0)).state is EstimateState.SEARCHING
 
 
-def test_height_and_scale_are_told_as_known_or_as_estimated() -> None:
+def test_height_and_scale_are_reported_as_known_or_as_estimated() -> None:
     known = _stated(_hypothesis())
     assert (known.height_m, known.height_sigma_m, known.range_scale) == (2.0, None, 0.0)
     params = FilterParams(target_height_m=2.0, target_height_sigma_m=1.25, range_scale_sigma=0.05)
@@ -172,7 +172,7 @@ def test_the_absolute_radius_counts_rivals_and_never_promises_more() -> None:
         assert estimate.absolute_r95_m >= estimate.r95_m
 
 
-def test_a_radius_that_nobody_worked_out_is_that_of_round_errors() -> None:
+def test_a_missing_radius_is_that_of_round_errors() -> None:
     estimate = TargetEstimate(
         0.0, EstimateState.LOCALISED, (0.0, 0.0), ((1, 0), (0, 1)), 1.0, 0, 0, 9
     )
@@ -208,7 +208,7 @@ def test_drift_of_the_vehicle_position_counts_once_and_not_in_what_stops_the_sea
     assert wandering.absolute_r95_m >= wandering.r95_m
 
 
-def test_of_two_places_it_is_told_how_far_to_the_side_decides() -> None:
+def test_of_two_places_it_is_reported_how_far_to_the_side_decides() -> None:
     assert aside_of_m(_stated(_hypothesis())) is None
     near, far = (_hypothesis(east, 0.5) for east in (6.0, 80.0))
     assert aside_of_m(_stated(_hypothesis(probability=0.5), near)) == 10.0

@@ -114,7 +114,7 @@ def test_a_turn_ends_the_ambiguity() -> None:
 
 
 @pytest.mark.parametrize("turned_rad", [math.pi, 2.5, -2.0])
-def test_an_estimate_that_contradicts_its_measurements_starts_anew(turned_rad: float) -> None:
+def test_an_estimate_that_contradicts_its_measurements_starts_again(turned_rad: float) -> None:
     """Bearings right behind scatter about the cut, to one side and the other."""
     tracker = TargetTracker(TrackerParams())
     assert fly_around(tracker, (0.0, 0.0), range(120)) == 0
@@ -260,7 +260,7 @@ def test_r95_holds_the_truth_as_often_as_it_says(p_nlos: float) -> None:
 
 
 @pytest.mark.slow
-def test_r95_of_an_antenna_that_is_not_told_promises_no_more() -> None:
+def test_r95_of_an_antenna_that_is_not_configured_promises_no_more() -> None:
     covered = np.array([_coverage_of_run(seed, 0.9, "auto") for seed in range(RUNS)])
     assert (covered.mean(axis=0) >= 0.93).all()
 
@@ -382,7 +382,7 @@ def test_the_base_line_is_as_long_as_the_height_above_the_target() -> None:
     assert tracker.baseline_m(25.0) == 19.0
 
 
-def test_planners_are_told_the_noise_of_what_is_measured() -> None:
+def test_planners_are_reported_the_noise_of_what_is_measured() -> None:
     params = FilterParams(range_sigma_m=1.2, own_position_sigma_m=0.5, bearing_sigma_deg=3.0)
     tracker = TargetTracker(TrackerParams(filter=params, adapt_inflation=False))
     assert tracker.latest_sigmas is None

@@ -133,23 +133,23 @@ def test_a_fix_that_is_lost_widens_both_radii(
     assert estimate.absolute_r95_m > 2.4 * LOST.horizontal_m > undisturbed.absolute_r95_m
 
 
-def test_an_accuracy_of_nothing_counts_as_one_that_nobody_told(undisturbed: TargetEstimate) -> None:
+def test_an_accuracy_of_zero_counts_as_not_reported(undisturbed: TargetEstimate) -> None:
     """As the receiver's 0 is read; and no reported accuracy is worse than that by its name."""
-    _, untold = search(before=LOST)
+    _, unreported = search(before=LOST)
     _, poor = search(before=PositionAccuracy(2.0, 4.0, is_reported=True))
     assert undisturbed.absolute_r95_m < poor.absolute_r95_m
-    assert untold.absolute_r95_m > 2.4 * LOST.horizontal_m
-    assert untold.r95_m > undisturbed.r95_m
+    assert unreported.absolute_r95_m > 2.4 * LOST.horizontal_m
+    assert unreported.r95_m > undisturbed.r95_m
 
 
-def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_told() -> None:
+def test_a_receiver_that_knows_its_height_badly_widens_r95_where_no_antenna_is_reported() -> None:
     _, level = search(before=PositionAccuracy(1.0, 0.0, is_reported=True), kind="auto")
     _, poor = search(before=PositionAccuracy(1.0, 6.0, is_reported=True), kind="auto")
     assert poor.r95_m > level.r95_m
     assert poor.position_enu_m == level.position_enu_m
 
 
-def test_a_receiver_may_stand_between_walls_where_no_antenna_is_told(
+def test_a_receiver_may_stand_between_walls_where_no_antenna_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     own = PositionAccuracy(1.0, 0.0, is_reported=True)

@@ -180,7 +180,7 @@ class TestDifference:
     def test_the_same_border_written_otherwise_is_no_difference(self, other: LocalFence) -> None:
         assert difference(OURS, other, 1.0) is None
 
-    def test_a_border_elsewhere_is_told_with_place_and_distance(self) -> None:
+    def test_a_border_elsewhere_is_reported_with_place_and_distance(self) -> None:
         wider = LocalFence((SQUARE[0], (140.0, -100.0), (140.0, 100.0), SQUARE[3]), (HOUSE,))
         for one, other in ((OURS, wider), (wider, OURS)):
             text = difference(one, other, 1.0)
@@ -193,7 +193,7 @@ class TestDifference:
         text = difference(LocalFence(SQUARE), dented, 1.0)
         assert text == "borders up to 40.0 m apart, at 60 m east, 0 m north"
 
-    def test_a_missing_exclusion_is_told(self) -> None:
+    def test_a_missing_exclusion_is_reported(self) -> None:
         lacking = difference(OURS, LocalFence(SQUARE), 1.0)
         assert (
             lacking == "exclusion at 10 m east, 10 m north: the autopilot's has no such exclusion"

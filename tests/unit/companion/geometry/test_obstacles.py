@@ -73,7 +73,7 @@ def test_only_edges_nearby_decide_and_that_is_enough(space: FreeSpace, point: Po
 
 
 @pytest.mark.parametrize("point", [HOUSE[0], HOUSE[2], (15.0, 10.0), (0.0, 20.0), SQUARE[1]])
-def test_without_a_margin_nobody_is_allowed_on_a_border(point: Point) -> None:
+def test_without_a_margin_a_border_is_still_forbidden(point: Point) -> None:
     """A leg that begins there is not clear, so that nothing could be flown from it."""
     space = FreeSpace(SQUARE, [HOUSE], 0.0)
     assert not space.allows(point)

@@ -230,7 +230,7 @@ class TestWhatIsNoNumber:
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
     @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-    def test_nobody_stays_at_a_place_that_is_none(self, axis: int, value: float) -> None:
+    def test_no_vehicle_stays_at_an_invalid_position(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
         position = (odd[0], odd[1], odd[2])
@@ -244,7 +244,7 @@ class TestWhatIsNoNumber:
 
     @pytest.mark.parametrize("axis", [0, 1, 2])
     @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-    def test_after_a_setpoint_that_was_none_it_begins_anew(self, axis: int, value: float) -> None:
+    def test_after_a_setpoint_that_was_none_it_begins_again(self, axis: int, value: float) -> None:
         odd = list(START)
         odd[axis] = value
         position = (odd[0], odd[1], odd[2])

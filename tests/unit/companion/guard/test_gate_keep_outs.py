@@ -27,7 +27,7 @@ class TestKeepOuts:
         turned = self.GUARD.towards(goal, last, motion((7.0, 25.1, 30.0)), 0.1)
         assert turned.position_enu_m[0] > 9.3
 
-    def test_a_vehicle_pushed_behind_a_corner_starts_anew_where_it_is(self) -> None:
+    def test_a_vehicle_pushed_behind_a_corner_starts_again_where_it_is(self) -> None:
         last = Guarded((15.0, 25.1, 30.0), (), (1.0, 0.0, 0.0))
         pushed = motion((6.5, 18.0, 31.0))
         anew = self.GUARD.towards((40.0, 25.1, 30.0), last, pushed, 0.1)

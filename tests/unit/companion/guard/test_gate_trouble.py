@@ -122,7 +122,7 @@ class TestAVehicleInTrouble:
         )
         assert GuardReason.TOO_FAST not in guarded.reasons
 
-    def test_a_setpoint_that_a_new_fence_forbids_begins_anew_at_the_vehicle(self) -> None:
+    def test_a_setpoint_that_a_new_fence_forbids_begins_again_at_the_vehicle(self) -> None:
         """It is in the margin, where the vehicle itself might be."""
         position = (90.0, 0.0, 30.0)
         anew = GUARD.towards((0.0, 0.0, 30.0), Guarded((96.0, 0.0, 30.0)), motion(position), 0.1)

@@ -134,7 +134,7 @@ class TestFromOutside:
         assert (guarded.position_enu_m == from_vehicle) is not is_on_it
 
     @pytest.mark.parametrize("drift_mps", [0.001, 0.01, 0.1, 0.5, 1.0, 1.5])
-    def test_a_wind_from_behind_keeps_nobody_out(self, drift_mps: float) -> None:
+    def test_a_wind_from_behind_forbids_no_position(self, drift_mps: float) -> None:
         """It blows the vehicle past a setpoint that has only begun to move."""
         steps, vehicles = come_in((130.0, 20.0, 30.0), drift=(-drift_mps, 0.0, 0.0))
         still, _ = come_in((130.0, 20.0, 30.0))

@@ -6,7 +6,7 @@ from companion.guidance.commands import Announce
 from companion.guidance.messages import ANTENNA_TEXTS, AntennaMessages
 
 
-def test_each_cause_is_told_once_and_an_azimuth_is_no_news() -> None:
+def test_each_cause_is_reported_once_and_an_azimuth_is_no_news() -> None:
     messages = AntennaMessages()
     shown = (None, "azimuth", "planar", "line", "planar", None, "contradicted", "line")
     commands = [command for each in shown for command in messages.messages_for(each)]

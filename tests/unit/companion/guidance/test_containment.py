@@ -61,7 +61,7 @@ def test_setpoints_go_on_while_parts_fail(part: str, monkeypatch: pytest.MonkeyP
     assert len(flight.sent(SendSetpoint, since_s)) == 20
 
 
-def test_one_error_is_held_on_for_a_second_and_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_error_is_held_on_for_a_second_and_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = ScriptedFlight().in_control()
     failures = itertools.chain([True], itertools.repeat(False))
     tracker = flight.session.tracker

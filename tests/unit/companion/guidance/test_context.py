@@ -32,7 +32,7 @@ def written_attributes(source: str) -> Iterator[str]:
                 yield f"{node.attr} in line {node.lineno}"
 
 
-def test_nobody_but_the_context_writes_its_attributes() -> None:
+def test_only_the_context_writes_its_attributes() -> None:
     written = {
         str(path.relative_to(PRODUCT)): names
         for path in PRODUCT.rglob("*.py")

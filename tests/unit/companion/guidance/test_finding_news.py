@@ -20,7 +20,7 @@ def announced(
     return [i for i, each in enumerate(findings) if news.take(each, since_s + i * TICK_S)]
 
 
-def test_a_reason_is_told_at_once_and_once() -> None:
+def test_a_reason_is_reported_at_once_and_once() -> None:
     assert announced(FindingMessages(), [STALE] * 100) == [0]
 
 
@@ -29,12 +29,12 @@ def test_that_nothing_is_wrong_is_no_news_at_first_and_news_after_something_was(
     assert announced(FindingMessages(), [STALE] * 30 + [None] * 30) == [0, 30]
 
 
-def test_two_reasons_that_take_turns_are_told_once_each() -> None:
+def test_two_reasons_that_take_turns_are_reported_once_each() -> None:
     ticks = round(0.9 * REANNOUNCE_S / TICK_S)
     assert announced(FindingMessages(), [STALE, NO_LINK] * (ticks // 2)) == [0, 1]
 
 
-def test_what_lasts_is_told_a_moment_after_it_began() -> None:
+def test_what_lasts_is_reported_a_moment_after_it_began() -> None:
     flicker: list[Finding | None] = [STALE, NO_LINK] * 10
     moment = round(CLEARED_AFTER_S / TICK_S)
     assert announced(FindingMessages(), flicker + [STALE] * 100) == [
@@ -56,7 +56,7 @@ def test_a_lost_link_never_waits() -> None:
     assert announced(news, [*outage, *outage]) == [0, 10, 30, 50, 60, 99]
 
 
-def test_reasons_that_take_turns_in_flight_are_told_calmly() -> None:
+def test_reasons_that_take_turns_in_flight_are_reported_calmly() -> None:
     """The operator's command hides the missing ranging in every other tick."""
     flight = ScriptedFlight().in_control()
     flight.has_ranging = False

@@ -13,7 +13,7 @@ from tests.unit.companion.guidance.scripted import ScriptedFlight
 FENCE, LAGGING, JUMPED = GuardReason.FENCE, GuardReason.LAGGING, GuardReason.JUMPED
 
 
-def test_a_reason_is_told_once_and_again_after_a_while() -> None:
+def test_a_reason_is_reported_once_and_again_after_a_while() -> None:
     news = GuardMessages()
     assert news.texts((FENCE,), 0.0) == ["guard: goal is outside the fence or in a keep-out"]
     assert news.texts((FENCE,), 0.05) == []
@@ -29,7 +29,7 @@ def test_every_reason_has_a_time_of_its_own() -> None:
     assert news.texts((FENCE, JUMPED), 1.0) == [f"guard: {JUMPED.value}"]
 
 
-def test_what_every_corner_brings_is_not_told() -> None:
+def test_what_every_corner_brings_is_not_reported() -> None:
     assert GuardMessages().texts((LAGGING, GuardReason.CUT_OFF), 0.0) == []
 
 
@@ -64,7 +64,7 @@ def test_a_charged_battery_flies_and_says_nothing() -> None:
     assert not [text for text in flight.texts if text.startswith("guard:")]
 
 
-def test_an_unknown_battery_goes_no_farther_from_home_and_the_operator_is_told() -> None:
+def test_an_unknown_battery_goes_no_farther_from_home_and_the_operator_is_reported() -> None:
     flight = _engaged(None)
     assert _farthest_m(flight) < 0.1
     texts = [text for text in flight.texts if text.startswith("guard:")]

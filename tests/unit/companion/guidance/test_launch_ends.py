@@ -59,7 +59,7 @@ def test_a_failsafe_during_the_launch_ends_it_until_a_grant(autopilot: Autopilot
 
 
 def test_offboard_that_others_enter_during_the_climb_is_not_ours() -> None:
-    """PX4 enters it in the air only if somebody else streams setpoints."""
+    """PX4 enters it in the air only if another system streams setpoints."""
     flight = launching()
     flight.show(FlightMode.OFFBOARD)
     assert flight.is_in(Phase.YIELD)
@@ -92,7 +92,7 @@ def test_offboard_that_was_asked_for_before_the_launch_ended_was_not_given(order
 def test_a_stop_during_the_climb_sends_no_place_of_the_past(
     autopilot: Autopilot, is_fresh: bool
 ) -> None:
-    """The takeoff needs no setpoints, and nobody knows where it has got to."""
+    """The takeoff needs no setpoints, and its progress is unknown."""
     flight = launching(autopilot)
     flight.has_position = is_fresh
     flight.fly(0.8)

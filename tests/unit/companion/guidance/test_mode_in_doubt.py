@@ -1,4 +1,4 @@
-"""Nobody knows who flies: after a stall, or a long silence, perhaps it is a pilot."""
+"""The mode is unconfirmed after a stall or a long silence: a pilot may be flying."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_who_shows_for_seconds_that_he_obeys_may_be_asked_though_nothing_is_stam
 @pytest.mark.parametrize(
     ("level", "charge_pct"), [(BatteryLevel.CRITICAL, 5.0), (BatteryLevel.LOW, 15.0)]
 )
-def test_a_battery_that_is_low_takes_the_vehicle_from_nobody(
+def test_a_low_battery_does_not_take_the_vehicle_from_the_pilot(
     level: BatteryLevel, charge_pct: float
 ) -> None:
     flight = in_doubt(ScriptedFlight().in_control())
@@ -181,7 +181,7 @@ def test_a_stop_asks_nothing_of_a_vehicle_that_a_pilot_has_taken() -> None:
     assert silent_since(flight, stopped_s)
 
 
-def test_a_stop_ends_in_time_where_nobody_tells_who_flies() -> None:
+def test_a_stop_ends_in_time_without_any_report_of_the_mode() -> None:
     flight = in_doubt(ScriptedFlight().in_control())
     stopped_s = flight.now_s
     flight.give(StopRequested(flight.now_s))
@@ -217,7 +217,7 @@ def test_after_a_stall_nothing_is_sent_for_a_place_of_the_past() -> None:
     assert not silent_since(flight, doubt_s)
 
 
-def test_offboard_of_the_past_gives_nobody_control() -> None:
+def test_an_outdated_offboard_gives_no_control() -> None:
     flight = in_doubt(ScriptedFlight().ready())
     flight.has_position = False
     flight.fly(1.5)

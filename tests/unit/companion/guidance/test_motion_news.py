@@ -9,7 +9,7 @@ from companion.guidance.messages import MotionMessages
 WALKING = TargetMotion(np.array([0.6, 0.8]), 99.0)
 
 
-def test_a_walk_is_told_once_and_so_is_its_end() -> None:
+def test_a_walk_is_reported_once_and_so_is_its_end() -> None:
     news = MotionMessages()
     assert news.messages_for(1, None) == []
     (began,) = news.messages_for(1, WALKING)

@@ -119,7 +119,7 @@ def unlisted(said: set[str]) -> list[str]:
     return sorted({text for text in said if re.search(r"\w", text)} - listed())
 
 
-def test_no_text_is_listed_that_nobody_says() -> None:
+def test_no_text_is_listed_that_is_never_announced() -> None:
     constants = {
         node.value
         for module in sources("guidance", "guard", "domain.py", *BEYOND)

@@ -19,7 +19,9 @@ def texts_since(flight: ScriptedFlight, count: int) -> list[str]:
     return [text for text in flight.texts[count:] if text.startswith(ABOUT)]
 
 
-def test_a_stale_position_on_the_ground_is_told_when_setpoints_stop_and_when_it_is_back() -> None:
+def test_a_stale_position_on_the_ground_is_reported_when_setpoints_stop_and_when_it_is_back() -> (
+    None
+):
     flight = ScriptedFlight().on_the_ground()
     assert flight.is_in(Phase.STANDBY)
     before = len(flight.texts)
@@ -38,7 +40,7 @@ def test_a_stale_position_on_the_ground_is_told_when_setpoints_stop_and_when_it_
     assert flight.sent(SendSetpoint, flight.now_s - 0.5)
 
 
-def test_a_dead_link_and_an_unknown_mode_are_told_in_standby() -> None:
+def test_a_dead_link_and_an_unknown_mode_are_reported_in_standby() -> None:
     flight = ScriptedFlight().ready()
     before = len(flight.texts)
     flight.has_link = False
@@ -57,7 +59,7 @@ def test_a_dead_link_and_an_unknown_mode_are_told_in_standby() -> None:
     ]
 
 
-def test_a_clock_that_slips_on_the_ground_is_told_with_what_follows() -> None:
+def test_a_clock_that_slips_on_the_ground_is_reported_with_what_follows() -> None:
     flight = ScriptedFlight().on_the_ground()
     before = len(flight.texts)
     flight.has_position = False
@@ -69,7 +71,7 @@ def test_a_clock_that_slips_on_the_ground_is_told_with_what_follows() -> None:
     ]
 
 
-def test_on_ardupilot_where_no_setpoints_flow_yet_it_is_told_that_it_is_not_ready() -> None:
+def test_on_ardupilot_where_no_setpoints_flow_yet_it_is_reported_that_it_is_not_ready() -> None:
     flight = ScriptedFlight(autopilot=Autopilot.ARDUPILOT).ready()
     before = len(flight.texts)
     flight.has_position = False
@@ -91,7 +93,7 @@ def test_a_position_that_comes_and_goes_does_not_fill_the_log() -> None:
     ]
 
 
-def test_after_the_report_an_autopilot_that_stays_ours_is_told_when_setpoints_end() -> None:
+def test_after_the_report_an_autopilot_that_stays_ours_is_reported_when_setpoints_end() -> None:
     flight = ScriptedFlight().in_control()
     flight.follows = True
     flight.fly_until_reported()

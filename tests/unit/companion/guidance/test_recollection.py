@@ -115,7 +115,7 @@ def test_who_had_yielded_stays_silent() -> None:
     assert flight.session.estimate is not None
 
 
-def test_who_had_yielded_does_not_blame_a_failsafe_that_nobody_showed() -> None:
+def test_a_yielded_session_does_not_blame_a_failsafe_that_was_not_reported() -> None:
     flight = ScriptedFlight()
     recall(flight, replace(memory_of_a_flight(), phase=Phase.YIELD))
     flight.fly(0.5)
@@ -226,7 +226,7 @@ def test_a_resumed_flight_localises_sooner_than_a_cold_one() -> None:
         LocalOrigin(47.4, -181.0, 488.0),
     ],
 )
-def test_an_origin_that_is_no_place_is_told(origin: LocalOrigin) -> None:
+def test_an_origin_that_is_no_place_is_reported(origin: LocalOrigin) -> None:
     memory = SessionMemory(Phase.STANDBY, origin, None, None)
     assert memory.problem is not None
     assert replace(memory, origin=ORIGIN).problem is None

@@ -22,7 +22,7 @@ ESTIMATE = TargetEstimate(
 )
 
 
-def test_the_measurement_and_its_place_are_told() -> None:
+def test_the_measurement_and_its_place_are_reported() -> None:
     measured = RangingMeasurement(7, 0.9, range_m=31.0, bearing_enu_rad=0.3)
     report = FusionReport(None, measurement=measured, sensor_enu_m=(10.0, 20.0, 30.0))
     fields = estimate_record(report, ESTIMATE).fields
@@ -41,7 +41,7 @@ def test_without_a_place_nothing_is_claimed_of_one() -> None:
 CITY = PositionAccuracy(6.0, 9.0, is_reported=True)
 
 
-def test_both_radii_are_told_and_what_is_between_them() -> None:
+def test_both_radii_are_reported_and_what_is_between_them() -> None:
     estimate = replace(ESTIMATE, own=CITY, absolute_r95_m=16.0)
     fields = estimate_record(FusionReport(None), estimate).fields
     assert (fields["r95_m"], fields["absolute_r95_m"]) == (5.0, 16.0)
@@ -58,7 +58,7 @@ def test_degrees_come_with_the_radius_of_who_walks_there() -> None:
 
 
 @pytest.mark.parametrize("sigma_m", [3.0, 12.5, 999.0])
-def test_what_is_not_told_is_said_in_one_text(sigma_m: float) -> None:
+def test_what_is_not_reported_is_said_in_one_text(sigma_m: float) -> None:
     vague = replace(
         ESTIMATE, own=PositionAccuracy(sigma_m, sigma_m), r95_m=999.9, absolute_r95_m=999.9
     )

@@ -25,7 +25,7 @@ def test_each_reason_has_a_rhythm_of_its_own() -> None:
     assert news.messages_for(RejectReason.STALE, 0.2) == []
 
 
-def test_many_are_told_to_people_once_a_minute() -> None:
+def test_many_are_reported_to_people_once_a_minute() -> None:
     _, texts = announced(RejectReason.NOT_FINITE, [0.1 * step for step in range(1000)])
     assert len(texts) == 1 + int((99.9 - 0.1 * MANY) // TEXT_PERIOD_S)
     assert texts[0].text == "measurements rejected: not finite; check the radio"

@@ -231,7 +231,7 @@ def test_parked_on_the_reported_target_it_learns_nothing_more() -> None:
     assert flight.session.tracker.accepted == accepted
 
 
-def test_a_vehicle_that_is_left_alone_is_told_so_once() -> None:
+def test_a_vehicle_that_is_left_alone_is_reported_so_once() -> None:
     flight = ScriptedFlight()
     flight.mode, flight.is_armed = FlightMode.OFFBOARD, True
     flight.heartbeat()
@@ -254,7 +254,7 @@ def test_what_is_missing_is_named_after_a_while() -> None:
     ]
 
 
-def test_positions_that_are_always_late_are_told_apart_from_none() -> None:
+def test_positions_that_are_always_late_are_distinguished_from_none() -> None:
     """Over a slow link they come, and every one is too old to be flown on."""
     flight = ScriptedFlight()
     flight.has_position = False

@@ -86,7 +86,7 @@ def test_a_stop_asks_for_hold_and_streams_until_it_is_confirmed() -> None:
     assert silent_since(flight, stopped_s)
 
 
-def test_a_stop_that_nobody_confirms_ends_within_a_second_and_a_half() -> None:
+def test_an_unconfirmed_stop_ends_within_a_second_and_a_half() -> None:
     flight = ScriptedFlight().in_control()
     asked_s = flight.now_s
     flight.give(StopRequested(asked_s))
@@ -117,7 +117,7 @@ def test_a_stop_right_after_the_report_still_hands_back() -> None:
     assert flight.asked_modes() == [FlightMode.RETURN, FlightMode.RETURN]
 
 
-def test_a_refused_follow_up_is_told() -> None:
+def test_a_refused_follow_up_is_reported() -> None:
     flight = ScriptedFlight().in_control()
     flight.follows = True
     flight.fly_until_reported()

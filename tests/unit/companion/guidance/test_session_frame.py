@@ -78,7 +78,7 @@ def test_an_origin_that_creeps_takes_the_estimate_with_it_after_a_metre() -> Non
 
 @pytest.mark.parametrize("up_m", [0.0, 6.0])
 @pytest.mark.parametrize("is_reported_first", [True, False])
-def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
+def test_an_origin_that_moves_is_one_step_whichever_is_reported_first(
     is_reported_first: bool, up_m: float
 ) -> None:
     """Positions of the new frame may overtake the origin, which must not move all once more."""
@@ -107,7 +107,7 @@ def test_an_origin_that_moves_is_one_step_whichever_is_told_first(
     assert flight.session.tracker.integrity.restarts == 0
 
 
-def test_an_origin_that_is_told_alone_moves_nothing_in_the_end() -> None:
+def test_an_origin_that_is_reported_alone_moves_nothing_in_the_end() -> None:
     """The autopilot reported another origin, but its local positions go on as before."""
     flight = ScriptedFlight().in_control()
     before = flight.session.estimate

@@ -31,7 +31,7 @@ def test_a_radius_that_improves_slowly_is_waited_for() -> None:
     assert _met_at([40.0 * 0.995**s for s in range(300)]) is None
 
 
-def test_a_radius_that_grows_is_looked_at_anew() -> None:
+def test_a_radius_that_grows_is_looked_at_again() -> None:
     assert _met_at([10.0] * 20 + [25.0] * 60) == 50
 
 
@@ -39,7 +39,7 @@ def test_a_place_that_may_be_anywhere_never_settles() -> None:
     assert _met_at([MOST_SETTLED_M + 1.0] * 100) is None
 
 
-def test_a_wide_place_settles_where_nobody_asked_for_a_narrower_one() -> None:
+def test_a_wide_position_settles_unless_a_narrower_one_is_configured() -> None:
     rule = SettledRule()
     wide = _estimate(MOST_SETTLED_M + 20.0, EstimateState.LOCALISED)
     assert [rule.is_met(wide, t, SETTLE_S) for t in (0.0, 29.0, 30.0)] == [False, False, True]

@@ -32,7 +32,7 @@ def test_an_existing_file_is_continued(tmp_path: Path) -> None:
     assert (tmp_path / "log").read_bytes() == b"ab"
 
 
-def test_a_full_disk_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_disk_is_counted_and_announced_once(caplog: pytest.LogCaptureFixture) -> None:
     file = BackgroundFile(Path("/dev/full"))
     with caplog.at_level(logging.WARNING, "companion.io"):
         for _ in range(50):

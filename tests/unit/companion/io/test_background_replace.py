@@ -27,7 +27,7 @@ def test_a_file_holds_the_newest_content(tmp_path: Path) -> None:
     assert replacer.written + replacer.overtaken == 100
 
 
-def test_a_hanging_disk_holds_up_nobody_and_costs_only_history(
+def test_a_hanging_disk_blocks_nothing_and_costs_only_history(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     released, began = threading.Event(), threading.Event()
@@ -75,7 +75,7 @@ def test_what_a_hanging_disk_may_lose_at_the_end_is_said(
     ]
 
 
-def test_a_full_disk_is_counted_told_once_and_tried_again(
+def test_a_full_disk_is_counted_reported_once_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     is_full = [True]

@@ -117,7 +117,7 @@ def test_a_line_without_end_is_not_read_into_memory(tmp_path: Path) -> None:
         list(read_radio_recording(path)[1])
 
 
-def test_a_later_version_is_told_from_a_broken_file(tmp_path: Path) -> None:
+def test_a_later_version_is_reported_from_a_broken_file(tmp_path: Path) -> None:
     path = written(tmp_path / "walk.radio")
     path.write_bytes(path.read_bytes().replace(b'"version":1', b'"version":2', 1))
     with pytest.raises(ConfigError, match="a recording of version 2"):

@@ -109,7 +109,7 @@ def test_no_clock_goes_back_whatever_happens(machine: Machine) -> None:
         shown_s = machine.follower.now_s()
 
 
-def test_who_is_excused_holds_nobody_up_until_it_is_back(machine: Machine) -> None:
+def test_an_excused_process_delays_no_other_until_it_is_back(machine: Machine) -> None:
     machine.pass_time(1.0)
     before_s = machine.pacer.now_s()
     for _ in range(10):

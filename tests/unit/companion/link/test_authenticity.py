@@ -75,7 +75,7 @@ def test_nothing_unsigned_or_forged_binds_an_autopilot() -> None:
 
 
 @pytest.mark.parametrize("attack", ["unsigned", "MAVLink 1", "forged", "stripped", "replayed"])
-def test_a_mode_that_nobody_with_the_key_sent_changes_nothing(attack: str) -> None:
+def test_a_mode_from_a_sender_without_the_key_changes_nothing(attack: str) -> None:
     made = in_offboard()
     recorded = made.autopilot.encode(heartbeat(custom_mode=3 << 16, is_armed=True))
     made.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
@@ -109,7 +109,7 @@ def test_an_unsigned_radio_status_is_noted_and_says_nothing_about_the_autopilot(
     assert made.journal.frames == frames + 1
 
 
-def test_refusals_are_told_within_a_second_and_then_rarely() -> None:
+def test_refusals_are_reported_within_a_second_and_then_rarely() -> None:
     made = wire()
     for _ in range(1000):
         made.say(heartbeat(), sender=MavCodec(1, 1))
@@ -119,7 +119,7 @@ def test_refusals_are_told_within_a_second_and_then_rarely() -> None:
     assert len(said) == pytest.approx(50.0 / REPORT_PERIOD_S, abs=1.0)
 
 
-def test_somebody_with_the_key_and_a_clock_far_ahead_is_an_alarm() -> None:
+def test_a_key_holder_with_a_clock_far_ahead_is_an_alarm() -> None:
     made = in_offboard()
     made.say(heartbeat(), sender=codec(unix_s=UNIX_S + 61.0))
     made.wait(LOOK_PERIOD_S)

@@ -149,7 +149,7 @@ def test_its_own_frames_come_back_without_effect() -> None:
     assert wire.journal.frames == frames
 
 
-def test_a_grant_is_accepted_and_told_to_its_sender() -> None:
+def test_a_grant_is_accepted_and_announced_to_its_sender() -> None:
     wire = Wire().ready(OFFBOARD)
     wire.say(heartbeat(is_armed=True, status=4))
     assert wire.endpoint.session.phase is Phase.YIELD
@@ -212,7 +212,7 @@ def test_every_other_command_is_unsupported(number: int) -> None:
     assert (ack.command, ack.result) == (number, 3)
 
 
-def test_a_message_that_nobody_has_is_denied() -> None:
+def test_a_message_that_does_not_exist_is_denied() -> None:
     wire = Wire().ready()
     (ack,) = wire.say(command(512, 33.0), sender=MavCodec(255, 190))
     assert isinstance(ack, Ack)

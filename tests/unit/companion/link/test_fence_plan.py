@@ -156,7 +156,7 @@ class TestTheTransfer:
         assert len(autopilot.asked) == asked
         assert len(autopilot.run(REST_S)) == 1
 
-    def test_a_refusal_is_tried_again_and_then_told(self) -> None:
+    def test_a_refusal_is_tried_again_and_then_reported(self) -> None:
         fetch, result, now_s = FenceDownload(), None, 0.0
         while result is None and now_s < 10.0:
             now_s += 0.05
@@ -167,7 +167,7 @@ class TestTheTransfer:
         assert result.problem == "refused (unsupported)"
         assert not result.is_unusable
 
-    def test_an_unknown_refusal_is_told_by_its_number(self) -> None:
+    def test_an_unknown_refusal_is_reported_by_its_number(self) -> None:
         fetch = FenceDownload()
         for step in range(200):
             fetch.due(0.05 * step, AUTOPILOT, is_wanted=True)
@@ -224,7 +224,7 @@ class TestTheTransfer:
         assert result.is_unusable
         assert isinstance(fetch.due(0.2, AUTOPILOT, is_wanted=False), Ack)
 
-    def test_a_restart_begins_anew(self) -> None:
+    def test_a_restart_begins_again(self) -> None:
         autopilot = Autopilot(TRIANGLE)
         autopilot.run(0.15)
         autopilot.fetch.restart()
@@ -234,7 +234,7 @@ class TestTheTransfer:
         assert isinstance(autopilot.asked[0], List)
         assert result.fence == GEO
 
-    def test_a_fence_that_makes_none_is_told_as_unusable(self) -> None:
+    def test_a_fence_that_makes_none_is_reported_as_unusable(self) -> None:
         autopilot = Autopilot([item(0, command=16)])
         (result,) = autopilot.run(1.0)
         assert result.problem == "item 1: command 16 is no part of a fence"
@@ -332,7 +332,9 @@ class TestChanges:
             (ack(0), False),
         ],
     )
-    def test_an_upload_of_somebody_else_is_one(self, message: Message, is_change: bool) -> None:
+    def test_an_upload_by_another_station_is_a_change(
+        self, message: Message, is_change: bool
+    ) -> None:
         assert FenceDownload().notice(heard(message), OWN) is is_change
 
     def test_a_parameter_of_the_fence_is_one_where_it_was_another(self) -> None:
@@ -362,7 +364,7 @@ class TestChanges:
         autopilot.deaf = 1000
         assert autopilot.run(60.0, is_wanted=False, is_followed=True) == []
 
-    def test_a_change_begins_the_reading_anew_at_once(self) -> None:
+    def test_a_change_begins_the_reading_again_at_once(self) -> None:
         autopilot = Autopilot(TRIANGLE)
         autopilot.run(1.0)
         autopilot.fetch.notice(current(7), OWN)

@@ -126,7 +126,7 @@ def test_no_message_that_we_consume_is_taken_from_another_address(message: Messa
     assert state(wire)[:-1] == before[:-1]
 
 
-def test_strangers_with_the_autopilots_ids_are_told_rarely() -> None:
+def test_strangers_with_the_autopilots_ids_are_reported_rarely() -> None:
     wire = Wire().ready()
     for _ in range(100):
         wire.say(heartbeat(), peer=STRANGER)
@@ -160,7 +160,7 @@ def test_two_systems_without_a_configured_id_are_named_once_and_not_flown() -> N
     ]
 
 
-def test_in_control_another_autopilot_is_ignored_and_told_once() -> None:
+def test_in_control_another_autopilot_is_ignored_and_announced_once() -> None:
     wire = listening()
     wire.say(heartbeat(custom_mode=OFFBOARD, is_armed=True, status=4))
     for _ in range(50):
@@ -184,7 +184,7 @@ def test_a_stranger_who_is_every_autopilot_makes_few_texts() -> None:
     assert sum("autopilots on this link" in text for text in wire.journal.texts) == 1
 
 
-def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
+def test_whoever_asked_for_a_system_is_announced_no_other() -> None:
     wire = Wire(CompanionConfig(vehicle=VehicleParams(system_id=1))).ready()
     wire.say(heartbeat(), sender=MavCodec(2, 1))
     wire.wait(0.1)
@@ -192,7 +192,7 @@ def test_whoever_asked_for_a_system_is_told_of_no_other() -> None:
     assert wire.endpoint.session.phase is Phase.STANDBY
 
 
-def test_a_restarted_router_is_followed_after_silence_and_told() -> None:
+def test_a_restarted_router_is_followed_after_silence_and_announced() -> None:
     wire = Wire().ready()
     wire.say(wire.position(), peer=PEER)
     wire.wait(3.05)  # the tick after 3 s of silence

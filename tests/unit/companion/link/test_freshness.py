@@ -84,7 +84,9 @@ def speak(wire: Wire, seconds: float, muted: str = "") -> None:
 
 
 @pytest.mark.parametrize("muted", list(SPOKEN))
-def test_a_stream_that_stops_while_the_link_is_alive_is_told_once_and_asked_for(muted: str) -> None:
+def test_a_stream_that_stops_while_the_link_is_alive_is_reported_once_and_asked_for(
+    muted: str,
+) -> None:
     wire = Wire().ready(OFFBOARD)
     speak(wire, 3.0)
     wire.journal.texts.clear()
@@ -93,7 +95,7 @@ def test_a_stream_that_stops_while_the_link_is_alive_is_told_once_and_asked_for(
     assert said == [f"no {muted} received received any more: requesting again"]
 
 
-def test_a_link_that_is_lost_is_not_told_stream_by_stream() -> None:
+def test_a_lost_link_is_not_announced_stream_by_stream() -> None:
     wire = Wire().ready(OFFBOARD)
     speak(wire, 3.0)
     wire.wait(30.0)

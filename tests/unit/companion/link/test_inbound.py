@@ -70,7 +70,7 @@ def test_an_attitude_keeps_its_sense() -> None:
 
 
 @pytest.mark.parametrize("tilt_rad", [math.inf, -math.inf, NAN, 1e30])
-def test_a_tilt_that_is_no_number_is_not_told_and_the_yaw_is(tilt_rad: float) -> None:
+def test_a_tilt_that_is_no_number_is_not_reported_and_the_yaw_is(tilt_rad: float) -> None:
     inbound, track = VehicleInbound(), VehicleTrack()
     for boot_ms, roll in ((0, 0.0), (100, tilt_rad)):
         message = mavlink.MAVLink_attitude_message(boot_ms, roll, 0.2, 1.5, 0, 0, 0)
@@ -190,7 +190,7 @@ def test_a_clock_that_goes_back_is_a_restart_and_forgets_the_frame() -> None:
     ]
 
 
-def test_a_restart_that_nobody_heard_is_known_by_stamps_that_stay_late() -> None:
+def test_a_missed_restart_is_known_by_stamps_that_stay_late() -> None:
     inbound = VehicleInbound()
     inbound.events(local_position(10_000), 10.0)
     events: list[Event] = []
@@ -318,7 +318,7 @@ def test_an_overtaken_heartbeat_may_end_control_but_never_give_it(
     assert bool(inbound.events(late, 1.1, 9)) is is_taken
 
 
-def test_after_a_restart_the_order_begins_anew() -> None:
+def test_after_a_restart_the_order_begins_again() -> None:
     inbound = VehicleInbound()
     inbound.events(local_position(60_000), 60.0, 999)
     inbound.events(FLYING, 60.0, 1000)

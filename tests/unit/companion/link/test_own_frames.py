@@ -64,7 +64,7 @@ def test_a_router_that_sends_our_frames_back_is_no_second_companion() -> None:
     assert not any("someone else" in text for text in wire.journal.texts)
 
 
-def test_a_second_companion_on_the_vehicle_is_told_once() -> None:
+def test_a_second_companion_on_the_vehicle_is_reported_once() -> None:
     wire = flown_beside_another_companion(is_router_loop=False)
     said = [text for text in wire.journal.texts if "another companion sends as 1/191" in text]
     assert len(said) == 1
@@ -133,7 +133,7 @@ def test_a_vehicle_that_a_twin_flew_is_not_taken_when_that_one_dies() -> None:
     assert phase_of(wire) is Phase.STANDBY
 
 
-def test_whoever_flies_goes_on_beside_a_twin_that_was_started_later() -> None:
+def test_a_companion_in_control_continues_beside_a_twin_that_was_started_later() -> None:
     wire = Wire().ready(OFFBOARD)
     twin = Twin(wire)
     assert phase_of(wire) in IN_CONTROL

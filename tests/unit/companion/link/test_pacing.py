@@ -40,7 +40,7 @@ def test_a_line_between_calm_and_lossy_keeps_its_rate(between: float) -> None:
     assert paced((0.3, 0.0), (between, 1.0), (between, 100.0)).is_lossy
 
 
-def test_one_bad_moment_begins_the_calm_anew() -> None:
+def test_one_bad_moment_begins_the_calm_again() -> None:
     pacing = paced((0.3, 0.0), (0.0, 1.0), (0.15, 5.9), (0.0, 6.0), (0.0, 6.1))
     assert pacing.is_lossy
 

@@ -100,7 +100,7 @@ def test_what_is_meant_for_others_is_left_to_them() -> None:
     assert values(wire.wait(1.0)) == {}
 
 
-def test_a_change_is_told_noted_and_flown() -> None:
+def test_a_change_is_reported_noted_and_flown() -> None:
     wire = Wire().bound()
     sent = ask(wire, param_set("CMP_SPEED", 2.5))
     assert values(sent) == {"CMP_SPEED": 2.5}
@@ -281,7 +281,7 @@ def test_a_ground_station_on_its_own_link_is_served_there() -> None:
     assert not kinds & {"COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED", "TIMESYNC"}
 
 
-def test_nobody_gives_control_by_a_ground_stations_own_link() -> None:
+def test_a_ground_stations_own_link_cannot_grant_control() -> None:
     wire = Wire(gcs_links=1).bound()
     command = mavlink.MAVLink_command_long_message(1, 191, 92, 0, 1.0, *(0.0,) * 6)
     acks = wire.say(command, sender=STATION, peer=None, link=1)

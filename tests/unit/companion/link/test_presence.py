@@ -195,13 +195,13 @@ def test_the_absolute_radius_follows_the_receiver(h_acc_mm: int | None, sigma_m:
     assert sent.r95 < sent.absolute_r95 < 1.01 * round_m
 
 
-def test_nobody_gets_an_icon_unasked() -> None:
+def test_no_station_gets_an_icon_unless_configured() -> None:
     wire = heard(CompanionConfig(), ticks=60)
     assert wire.of(Estimate)
     assert not wire.of(Icon)
 
 
-def test_every_change_of_the_phase_is_told() -> None:
+def test_every_change_of_the_phase_is_reported() -> None:
     wire = Wire().bound()
     texts = len(wire.of(Text))
     seen = [wire.endpoint.session.phase]
@@ -226,7 +226,7 @@ def test_every_change_of_the_phase_is_told() -> None:
     assert [phase.value for phase in seen[:4]] == ["waiting", "standby", "hold", "yield"]
 
 
-def test_a_change_that_came_without_a_reason_is_told_in_words() -> None:
+def test_a_change_that_came_without_a_reason_is_reported_as_text() -> None:
     wire = Wire().ready()
     wire.endpoint.session.context.enter(Trigger.LAUNCH, wire.now_s)
     wire.wait(0.05)

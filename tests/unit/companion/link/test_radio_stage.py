@@ -90,7 +90,9 @@ def test_numbers_are_the_same_in_any_spelling_and_names_are_exact(
     assert stage.all_refused == {"emitter is not listed": 1}
 
 
-def test_an_unnamed_emitter_gets_an_id_that_is_the_same_on_every_radio_and_is_told_once() -> None:
+def test_an_unnamed_emitter_gets_an_id_that_is_the_same_on_every_radio_and_is_reported_once() -> (
+    None
+):
     first, second = stage_of(), stage_of()
     measured(second, replace(READING, emitter="another"))
     named = replace(READING, emitter="ski jacket")

@@ -30,7 +30,7 @@ def announced(watch: RadioWatch, from_s: float, to_s: float) -> list[str]:
     return [news.text for tick in ticks for news in watch.tick(0.05 * tick)]
 
 
-def test_silence_is_told_once_and_its_end_once() -> None:
+def test_silence_is_reported_once_and_its_end_once() -> None:
     watch = watch_of()
     assert announced(watch, 0.0, 60.0) == ["radio said: silent for 3 s"]
     measured(watch.stage, READING, now_s=60.0)
@@ -51,18 +51,18 @@ def test_the_last_text_says_if_a_radio_that_comes_and_goes_is_heard() -> None:
     assert texts == [silent, "radio said: heard again", silent]
 
 
-def test_a_radio_that_may_be_silent_is_not_told_as_that() -> None:
+def test_a_radio_that_may_be_silent_is_not_announced_as_silent() -> None:
     assert announced(watch_of(RadioSettings(timeout_s=0.0)), 0.0, 60.0) == []
 
 
-def test_a_new_name_is_told() -> None:
+def test_a_new_name_is_reported() -> None:
     watch = watch_of()
     measured(watch.stage, replace(READING, emitter="tag"), now_s=0.0)
     (text,) = announced(watch, 0.0, 1.0)
     assert text.startswith("radio said: emitter `tag` has the id ")
 
 
-def test_many_refusals_are_told_with_their_reasons_and_rarely() -> None:
+def test_many_refusals_are_reported_with_their_reasons_and_rarely() -> None:
     watch = watch_of(RadioSettings(range_max_m=10.0))
     texts = []
     for second in range(40):
@@ -73,7 +73,7 @@ def test_many_refusals_are_told_with_their_reasons_and_rarely() -> None:
     assert texts[0] == "radio said: 10 readings were refused: range above range_max_m (10)"
 
 
-def test_few_refusals_are_not_told() -> None:
+def test_few_refusals_are_not_reported() -> None:
     watch = watch_of(RadioSettings(range_max_m=100.0, rate_max_hz=None))
     for number in range(200):
         far = replace(READING, range_m=500.0 if number % 10 == 0 else 50.0)

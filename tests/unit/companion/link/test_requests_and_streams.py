@@ -271,7 +271,7 @@ def test_who_does_not_know_the_question_is_asked_seldom() -> None:
     assert len(late) == pytest.approx(20, abs=1)
 
 
-# Streams that nobody reads
+# Unread streams
 
 
 def stops(stopper: StreamStopper, seconds: float) -> list[int]:
@@ -287,7 +287,7 @@ def stops(stopper: StreamStopper, seconds: float) -> list[int]:
     return asked
 
 
-def test_each_stream_that_nobody_reads_is_asked_to_stop() -> None:
+def test_each_unread_stream_is_requested_to_stop() -> None:
     assert set(stops(StreamStopper(), 1.0)) == {HIGHRES_IMU, ODOMETRY}
 
 

@@ -1,6 +1,6 @@
 """Every field of every report that is read, with every value that means "unknown", or nothing.
 
-Source: MAVLink common: INT32_MAX, UINT16_MAX, -1, 0/0 and NaN stand for what nobody knows.
+Source: MAVLink common: INT32_MAX, UINT16_MAX, -1, 0/0 and NaN stand for unknown values.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def known_after(message: Message) -> tuple[VehicleView, list[Event]]:
 
 
 @pytest.mark.parametrize("name", sorted({name for name, _, _ in spoilt()}))
-def test_what_nobody_knows_is_never_a_number(name: str) -> None:
+def test_unknown_values_are_never_numbers(name: str) -> None:
     for field, value in [(field, value) for other, field, value in spoilt() if other == name]:
         message = reports()[name]
         setattr(message, field, value)

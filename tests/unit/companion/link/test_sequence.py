@@ -84,7 +84,7 @@ def test_frames_that_overtake_each_other_are_late_and_not_lost() -> None:
     assert monitor.loss(40.0) == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_frame_that_comes_twice_is_told_and_not_counted() -> None:
+def test_a_frame_that_comes_twice_is_reported_and_not_counted() -> None:
     monitor = SequenceMonitor()
     for sequence, now_s in stream(600):
         assert monitor.take(sequence, now_s) == monitor.take(sequence, now_s)
@@ -103,7 +103,7 @@ def test_after_a_silence_the_same_number_is_a_new_frame() -> None:
     assert monitor.take(9, 10.0) == 9 + 256
 
 
-def test_a_sender_that_starts_anew_loses_nothing_by_it() -> None:
+def test_a_sender_that_starts_again_loses_nothing_by_it() -> None:
     monitor = listen(stream(100))
     monitor.restart()
     assert monitor.loss(2.0) is None

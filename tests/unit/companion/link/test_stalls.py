@@ -66,7 +66,7 @@ def test_a_hiccup_costs_ticks_and_nothing_else(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.6, 5.0, 60.0])
-def test_after_a_stall_nothing_is_sent_before_mode_and_position_were_heard_anew(
+def test_after_a_stall_nothing_is_sent_before_mode_and_position_were_heard_again(
     seconds: float,
 ) -> None:
     wire = in_control()
@@ -93,7 +93,7 @@ def test_the_mode_that_a_socket_kept_from_a_stall_is_not_the_mode_now() -> None:
 
 
 @pytest.mark.parametrize("seconds", [2.0, 13.0])
-def test_after_a_stall_the_mode_is_asked_for_until_it_is_told(seconds: float) -> None:
+def test_after_a_stall_the_mode_is_asked_for_until_it_is_reported(seconds: float) -> None:
     """The first answer may come before anything stamped, and says nothing then."""
     wire = in_control()
     stall(wire, seconds)
@@ -166,7 +166,7 @@ def test_after_a_stall_the_mode_is_asked_for_at_once() -> None:
     assert (mavlink.MAV_CMD_REQUEST_MESSAGE, 0.0) in [(m.command, m.param1) for m in asked]
 
 
-def test_a_stall_is_told_and_counted_and_no_tick_is_made_up_for() -> None:
+def test_a_stall_is_reported_and_counted_and_no_tick_is_made_up_for() -> None:
     wire = in_control()
     wire.journal.texts.clear()
     sent = stall(wire, 5.0)

@@ -158,7 +158,7 @@ def test_the_rc_input_is_healthy_or_lost_by_sys_status(health: int, is_healthy: 
     assert RcStatusReported(5.0, is_healthy) in events(status)
 
 
-def test_ratios_that_nobody_knows_say_nothing() -> None:
+def test_unknown_ratios_are_no_evidence() -> None:
     assert health_of(estimator_status(NAN, NAN, NAN, NAN)) == []
 
 

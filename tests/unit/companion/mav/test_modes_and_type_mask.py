@@ -122,7 +122,7 @@ def test_every_mav_type_is_a_class_or_flies_nothing() -> None:
     assert {6, 18, 26, 27, 30} <= nothing
 
 
-def test_a_mode_without_a_name_is_told_by_its_number() -> None:
+def test_a_mode_without_a_name_is_reported_by_its_number() -> None:
     assert other_mode_name(heartbeat(21, 3), Autopilot.ARDUPILOT) == "SMART_RTL"
     assert other_mode_name(heartbeat(99, 3), Autopilot.ARDUPILOT) == "MODE_99"
     assert other_mode_name(heartbeat(30, 3), Autopilot.ARDUPILOT) == "OFFBOARD"
@@ -145,7 +145,9 @@ def test_an_unknown_autopilot_has_unknown_modes() -> None:
         (mavlink.MAV_AUTOPILOT_OPENPILOT, Autopilot.OTHER),
     ],
 )
-def test_the_autopilot_is_told_from_its_heartbeat(number: int, autopilot: Autopilot | None) -> None:
+def test_the_autopilot_is_reported_from_its_heartbeat(
+    number: int, autopilot: Autopilot | None
+) -> None:
     assert autopilot_of(heartbeat(0, number)) is autopilot
 
 

@@ -148,7 +148,7 @@ def test_a_bearing_past_half_a_turn_is_shown_as_sent() -> None:
     assert more.bearing_enu_rad == pytest.approx(3.15)
 
 
-def test_an_infinite_bearing_reaches_whoever_judges_it() -> None:
+def test_an_infinite_bearing_reaches_the_screen() -> None:
     measurement = ranging_from_message(radio_ranging(bearing=math.inf), 0.0)
     assert measurement is not None
     assert measurement.bearing_enu_rad == math.inf
@@ -259,7 +259,7 @@ def core_fields(estimate: MAVLink_target_estimate_message) -> bytes:
     return CORE.pack(*(getattr(estimate, name) for name in estimate.ordered_fieldnames[:-3]))
 
 
-def test_whoever_knows_no_extensions_reads_the_rest_of_a_tunnel() -> None:
+def test_a_receiver_without_extensions_reads_the_rest_of_a_tunnel() -> None:
     carried = over_the_wire(tunnelled(ESTIMATE))
     assert isinstance(carried, mavlink.MAVLink_tunnel_message)
     assert carried.payload_length == CORE.size == 67

@@ -90,14 +90,14 @@ def test_an_overshoot_is_never_shorter_than_what_both_sides_need() -> None:
         (_sighted(), {"sigmas": None}),
     ],
 )
-def test_without_array_or_told_height_it_is_the_planner_of_the_paper(
+def test_without_array_or_configured_height_it_is_the_planner_of_the_paper(
     planner: Any, changes: dict[str, Any]
 ) -> None:
     request = _seen(**changes)
     assert planner.plan(request, None) == PLANNER.plan(request, None)
 
 
-def test_ranges_alone_to_a_told_height_are_crossed_widely_and_turned_in_another_direction() -> None:
+def test_ranges_alone_to_a_configured_height_are_crossed_widely_and_turned_otherwise() -> None:
     planner, ranges = _sighted(NONE), _seen(baseline_m=20.0, sigmas=(1.0, math.inf, math.inf))
     first = planner.plan(ranges, None)
     assert latch_of(first).overshoot_m == pytest.approx(20.0)

@@ -109,7 +109,7 @@ def test_a_shorter_overshoot_ends_a_crossing_that_was_latched_with_a_longer_one(
     ("moved_m", "sigma_m", "aims_anew"),
     [(2.9, 0.1, False), (3.1, 0.1, True), (8.9, 6.0, False), (9.1, 6.0, True)],
 )
-def test_it_aims_anew_when_the_estimate_leaves_the_latch(
+def test_it_aims_again_when_the_estimate_leaves_the_latch(
     moved_m: float, sigma_m: float, aims_anew: bool
 ) -> None:
     covariance_m2 = ((sigma_m**2, 0.0), (0.0, sigma_m**2))

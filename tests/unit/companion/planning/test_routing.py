@@ -111,7 +111,7 @@ def test_without_a_way_it_stays_and_says_so() -> None:
     assert waypoint == Waypoint((-30.0, 0.0), WaypointReason.HOLD, "no path to: crossing 1")
 
 
-def test_without_room_it_is_told() -> None:
+def test_without_room_it_is_reported() -> None:
     narrow = _request((1.0, 0.0), margin_m=60.0)
     assert _routed(narrow, (3.0, 0.0)).reason is WaypointReason.HOLD
     assert _routed(narrow, (3.0, 0.0)).detail == NO_ROOM

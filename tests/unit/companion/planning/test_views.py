@@ -201,7 +201,7 @@ def test_near_the_ground_a_range_tells_all_and_a_bearing_no_more_than_its_least_
     assert information(1e6, planar) == pytest.approx(math.pi / 0.01, rel=1e-3)
 
 
-def test_nothing_measured_is_nothing_told_and_still_an_overshoot() -> None:
+def test_without_measurements_there_is_no_information_but_an_overshoot() -> None:
     leg = _leg(_antenna("line"), 20.0, math.inf, math.inf)
     assert information(20.0, leg) == 0.0
     assert 2.0 <= best_reach_m(leg, 2.0, 20.0) <= 20.0

@@ -53,7 +53,7 @@ def test_a_simulation_that_runs_faster_is_recorded_by_the_wall() -> None:
     assert len(rig.notes.of_kind("process")) == 1
 
 
-def test_a_disk_that_does_not_answer_is_told_once_and_so_is_its_return() -> None:
+def test_a_disk_that_does_not_answer_is_reported_once_and_so_is_its_return() -> None:
     rig = Rig()
     rig.pass_time(1.0)
     for silent_s in (1.0, 2.5, 3.0, 4.0, 0.0, 0.0):
@@ -65,7 +65,7 @@ def test_a_disk_that_does_not_answer_is_told_once_and_so_is_its_return() -> None
     ]
 
 
-def test_lost_entries_are_told_when_there_are_more() -> None:
+def test_lost_entries_are_reported_when_there_are_more() -> None:
     rig = Rig()
     for dropped in (0, 7, 7, 7, 9):
         rig.notes.health = replace(rig.notes.health, dropped=dropped)
@@ -73,7 +73,7 @@ def test_lost_entries_are_told_when_there_are_more() -> None:
     assert [text.partition(" log")[0] for text in rig.texts] == ["7", "9"]
 
 
-def test_a_computer_that_is_too_slow_is_told() -> None:
+def test_a_computer_that_is_too_slow_is_reported() -> None:
     rig = Rig()
     rig.pass_time(5.0)
     for _ in range(8):

@@ -28,7 +28,7 @@ def watched(link: Link) -> tuple[LinkWatch, Journal]:
     return LinkWatch([link], journal), journal
 
 
-def test_a_link_that_refuses_is_told_with_the_reason() -> None:
+def test_a_link_that_refuses_is_reported_with_the_reason() -> None:
     link = udp()
     watch, journal = watched(link)
     watch.check(0.0)
@@ -39,7 +39,7 @@ def test_a_link_that_refuses_is_told_with_the_reason() -> None:
     ]
 
 
-def test_it_is_told_rarely_and_nothing_is_left_out_of_the_sum() -> None:
+def test_it_is_reported_rarely_and_nothing_is_left_out_of_the_sum() -> None:
     link = udp()
     watch, journal = watched(link)
     for tenth in range(1000):
@@ -50,7 +50,7 @@ def test_it_is_told_rarely_and_nothing_is_left_out_of_the_sum() -> None:
     assert announced > 900
 
 
-def test_before_anybody_is_there_it_is_no_news_that_nothing_is_sent() -> None:
+def test_before_a_peer_is_heard_unsent_frames_are_not_reported() -> None:
     link = udp()
     watch, journal = watched(link)
     for second in range(30):
@@ -59,7 +59,7 @@ def test_before_anybody_is_there_it_is_no_news_that_nothing_is_sent() -> None:
     assert journal.texts == []
 
 
-def test_a_line_that_is_too_slow_is_told() -> None:
+def test_a_line_that_is_too_slow_is_reported() -> None:
     link = line()
     watch, journal = watched(link)
     watch.check(0.0)

@@ -110,7 +110,7 @@ def test_a_kept_value_out_of_its_range_is_refused_with_a_line(
 
 
 @pytest.mark.parametrize("name", ["CMP_FENCE_MARGIN", "CMP_NOTHING"])
-def test_what_nobody_may_change_is_not_taken_from_a_file(tmp_path: Path, name: str) -> None:
+def test_read_only_parameters_are_not_taken_from_a_file(tmp_path: Path, name: str) -> None:
     path = tmp_path / "vehicle.parameters.json"
     path.write_text(f'{{"{name}": 1.0, "CMP_SPEED": 2.0}}')
     second = tunables()

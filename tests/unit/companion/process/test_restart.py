@@ -138,7 +138,7 @@ def test_the_sequence_goes_on_after_a_restart(process: Process) -> None:
         (CompanionConfig(emitters=QueueParams(listed=(7,))), {}, "another mission or estimator"),
     ],
 )
-def test_a_memory_of_something_else_is_told_and_not_taken_up(
+def test_a_memory_of_something_else_is_reported_and_not_taken_up(
     process: Process, config: CompanionConfig, autopilot: dict[str, int], reason: str
 ) -> None:
     keeper = process.start(config)

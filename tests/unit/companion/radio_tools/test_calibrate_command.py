@@ -96,7 +96,7 @@ def test_two_antennas_become_an_antenna_of_the_estimator(
     assert antenna.mount_deg[2] == pytest.approx(12.0, abs=1.5)
 
 
-def test_the_point_may_be_told_in_degrees(
+def test_the_point_may_be_reported_in_degrees(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     position = LocalOrigin(47.0, 8.0, 400.0).geodetic_from_enu(POINT)
@@ -105,7 +105,7 @@ def test_the_point_may_be_told_in_degrees(
     assert stage["range_offset_m"] == pytest.approx(27.3, abs=0.1)
 
 
-def test_what_is_in_the_recording_may_be_told(
+def test_what_is_in_the_recording_may_be_reported(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert typed(recording, "--point-enu", POINT_ENU, "--test", "turn@0-90") == 0

@@ -192,7 +192,7 @@ def test_reflections_do_not_move_the_offset() -> None:
     assert done.range_fit.nlos_excess_m.value == pytest.approx(4.3, abs=0.6)
 
 
-def test_a_blocked_run_is_told_or_found() -> None:
+def test_a_blocked_run_is_reported_or_found() -> None:
     course, (low_s, high_s) = all_tests()
     run = simulated(QUIET, np.random.default_rng(2), course, (low_s, high_s))
     found = calibrate(run).blocked

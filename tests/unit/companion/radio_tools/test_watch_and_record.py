@@ -161,7 +161,7 @@ def recording(path: Path, *, with_poses: bool) -> Path:
     return path
 
 
-def test_a_recording_is_decoded_anew_with_other_settings(tmp_path: Path) -> None:
+def test_a_recording_is_decoded_again_with_other_settings(tmp_path: Path) -> None:
     path = recording(tmp_path / "radio.jsonl", with_poses=True)
     radio = RadioConfig(name="ndjson", settings={"range_offset_m": 5.0})
     replay = replay_recording(path, CompanionConfig(radios=(radio,)))
@@ -172,7 +172,7 @@ def test_a_recording_is_decoded_anew_with_other_settings(tmp_path: Path) -> None
     assert replay.radios[0].startswith("radio ndjson: ")
 
 
-def test_without_places_it_is_told_what_was_said(tmp_path: Path) -> None:
+def test_without_places_it_is_reported_what_was_said(tmp_path: Path) -> None:
     path = recording(tmp_path / "radio.jsonl", with_poses=False)
     replay = replay_recording(path, CompanionConfig())
     assert replay.targets == []
@@ -206,7 +206,7 @@ def test_a_broken_plugin_that_is_chosen_is_named_and_ends_with_2(
 
 
 @pytest.mark.usefixtures("broken_plugin")
-def test_a_broken_plugin_that_is_not_chosen_hurts_nobody(
+def test_a_broken_plugin_that_is_not_chosen_does_no_harm(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["radio", "list"]) == 0

@@ -49,7 +49,7 @@ def degrees(angle_rad: float | None) -> float | None:
     return None if angle_rad is None else math.degrees(angle_rad)
 
 
-def test_a_notification_of_nobody_has_no_readings() -> None:
+def test_a_notification_without_peers_has_no_readings() -> None:
     decoder = FiraUciDecoder()
     assert decoder.feed(EMPTY, 0.0) == []
     assert decoder.counts.frames == 1

@@ -108,7 +108,7 @@ def test_an_anchor_tells_its_tags() -> None:
     assert reading == RadioReading(emitter="0807060504030201", range_m=3.15, quality=0.95)
 
 
-def test_an_error_is_told_and_what_fits_no_answer_costs_a_byte() -> None:
+def test_an_error_is_reported_and_what_fits_no_answer_costs_a_byte() -> None:
     decoder = PansTlvDecoder()
     wrong = ANSWER[:20] + b"\x03" + ANSWER[21:]
     assert len(decoder.feed(b"\x40\x01\x04" + wrong + ANSWER, 0.0)) == 2

@@ -71,7 +71,7 @@ def test_a_record_without_end_is_broken_off_at_8_kib() -> None:
     assert readings == [RANGED]
 
 
-def test_a_negative_distance_is_told_as_it_is() -> None:
+def test_a_negative_distance_is_reported_as_it_is() -> None:
     (reading,) = QorvoCliDecoder().feed(TWO.replace(b"=245", b"=-75"), 0.0)
     assert reading.range_m == -0.75
 

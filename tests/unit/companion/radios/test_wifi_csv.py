@@ -28,7 +28,9 @@ ROW = "1718000000123,1,Lost,aa:bb:cc:dd:ee:ff,5430,120,-61,8,7\n"
     ],
     ids=["gtec", "gtec extra", "gtec no frames", "words", "address", "bars m", "bars cm"],
 )
-def test_the_known_rows_are_told_apart(row: str, emitter: str | int | None, range_m: float) -> None:
+def test_the_known_rows_are_distinguished(
+    row: str, emitter: str | int | None, range_m: float
+) -> None:
     (reading,) = FtmCsvDecoder().feed(row.encode() + b"\r\n", 0.0)
 
     assert reading.emitter == emitter
@@ -174,7 +176,7 @@ def test_a_row_before_any_header_and_a_torn_one_are_refused() -> None:
     }
 
 
-def test_the_header_can_be_told_for_a_file_that_is_followed_from_its_end() -> None:
+def test_the_header_can_be_reported_for_a_file_that_is_followed_from_its_end() -> None:
     (reading,) = AndroidRttDecoder(AndroidRttOptions(header=ANDROID.strip())).feed(
         ROW.encode(), 0.0
     )

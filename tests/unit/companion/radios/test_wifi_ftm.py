@@ -58,7 +58,7 @@ def test_a_result_of_the_idf_has_its_session_s_peer_time_and_quality() -> None:
         assert reading.quality == pytest.approx(26 / 31)
 
 
-def test_a_result_without_a_session_names_nobody() -> None:
+def test_a_result_without_a_session_names_no_emitter() -> None:
     result = IDF.splitlines()[-1].encode() + b"\n"
     (reading,) = Esp32FtmDecoder().feed(result, 0.0)
 

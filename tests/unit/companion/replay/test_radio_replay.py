@@ -87,7 +87,7 @@ def test_a_configuration_that_says_nothing_of_the_radio_leaves_it_as_it_flew(
     assert replay.is_identical
 
 
-def test_other_settings_decode_the_same_bytes_anew(recorded: Path) -> None:
+def test_other_settings_decode_the_same_bytes_again(recorded: Path) -> None:
     settings = {"range_offset_m": OFFSET_M - 12.0, "emitters": {"tag": 9}}
     other = RadioConfig(name="ndjson", settings=settings)
     config = msgspec.structs.replace(CONFIG, radios=(other,))

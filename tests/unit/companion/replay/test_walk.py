@@ -257,7 +257,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert lines[0].startswith("companion: ")
 
 
-def test_a_walk_whose_every_row_is_refused_is_told_and_no_traceback(
+def test_a_walk_whose_every_row_is_refused_is_reported_and_no_traceback(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "walk.csv"

@@ -119,7 +119,7 @@ def test_ellipses_that_would_cover_the_map_are_left_out_and_newer_ones_are_stron
     assert strengths[-1] == 1.0
 
 
-def test_counters_of_the_link_are_told_in_words() -> None:
+def test_counters_of_the_link_are_reported_as_text() -> None:
     link: Line = {"t_s": 1.0, "kind": "link", "lost": 3, "refused": {}, "new_one": {"late": 2}}
     page = page_of([*FLIGHT, link])
     rows = dict(re.findall("<div><dt>([^<]*)</dt><dd>([^<]*)</dd></div>", page))
@@ -137,7 +137,7 @@ def test_the_verdict_is_what_the_flight_came_to() -> None:
 
 
 @pytest.mark.parametrize(("is_reported", "words"), [(True, ""), (False, ", assumed")])
-def test_both_radii_are_told_where_the_log_has_both(is_reported: bool, words: str) -> None:
+def test_both_radii_are_reported_where_the_log_has_both(is_reported: bool, words: str) -> None:
     own = {"absolute_r95_m": 3.7, "own_sigma_m": 1.5, "own_sigma_told": is_reported}
     lines = [{**estimate(1.0), **own}, {**RESULT, **own}]
     radii = f"R95 3.70 m absolute, 0.40 m relative (GNSS 1.50 m{words})"

@@ -81,7 +81,7 @@ def test_on_a_terminal_it_asks_for_what_no_flag_says(
     assert "SERIAL2_BAUD" not in output, "there is no serial port"
 
 
-def test_somebody_who_leaves_has_written_nothing(tmp_path: Path) -> None:
+def test_a_setup_that_is_left_has_written_nothing(tmp_path: Path) -> None:
     def leave(_: str) -> str:
         raise EOFError
 
@@ -294,7 +294,7 @@ def test_remove_leaves_no_trace(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert tree(tmp_path) == before
 
 
-def test_remove_keeps_what_somebody_changed(
+def test_remove_keeps_files_changed_by_the_user(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert setup(tmp_path, "--connect", SERIAL) == 0

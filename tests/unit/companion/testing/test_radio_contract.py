@@ -125,7 +125,7 @@ def test_a_name_that_cannot_be_chosen_is_found() -> None:
         check_radio(replace(kind_of(Metres), name="My Radio"), STREAM, READINGS)
 
 
-def test_an_honest_decoder_passes_and_its_figures_are_told() -> None:
+def test_an_honest_decoder_passes_and_its_figures_are_reported() -> None:
     figures = check_radio(kind_of(Metres), STREAM, READINGS)
     assert figures.readings == 2
     assert 0.0 < figures.slowest_noise_s < 1.0

@@ -35,7 +35,7 @@ def test_lines_arrive_in_order() -> None:
     assert stream.getvalue().splitlines() == [f"line {n}" for n in range(100)]
 
 
-def test_a_pipe_that_nobody_reads_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_that_is_not_read_blocks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_lines, "MAX_QUEUED", 10)
     monkeypatch.setattr(log_lines, "CLOSE_TIMEOUT_S", 0.05)
     reader, writer = os.pipe()
@@ -54,7 +54,7 @@ def test_a_pipe_that_nobody_reads_holds_up_nobody(monkeypatch: pytest.MonkeyPatc
     os.close(reader)
 
 
-def test_lost_lines_are_told_with_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_lines_are_reported_with_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_lines, "MAX_QUEUED", 2)
     stream = io.StringIO()
     handler = ConsoleHandler(stream)
@@ -70,6 +70,6 @@ def test_a_reader_that_went_away_is_no_error() -> None:
     os.close(reader)
     with os.fdopen(writer, "w") as stream:
         handler = ConsoleHandler(stream)
-        logger_with(handler).info("to nobody")
+        logger_with(handler).info("to no reader")
         handler.close()
     assert handler.writer.dropped == 0

@@ -31,7 +31,7 @@ def due_times(estimates: list[tuple[float, TargetEstimate]]) -> list[float]:
     return [time_s for time_s, estimate in estimates if rule.is_due(emitter(estimate), time_s)]
 
 
-def test_nothing_is_told_before_an_emitter_is_localised() -> None:
+def test_nothing_is_reported_before_an_emitter_is_localised() -> None:
     assert not CotRule().is_due(emitter(None), 0.0)
     assert not CotRule().is_due(emitter(VAGUE), 0.0)
     assert CotRule().is_due(emitter(ESTIMATE), 0.0)
@@ -42,7 +42,7 @@ def test_what_stays_is_repeated_once_a_minute() -> None:
     assert due_times([(0.5 * n, ESTIMATE) for n in range(300)]) == [0.0, 60.0, 120.0]
 
 
-def test_what_changes_all_the_time_is_told_once_a_second() -> None:
+def test_what_changes_all_the_time_is_reported_once_a_second() -> None:
     moving = [(0.25 * n, replace(ESTIMATE, position_enu_m=(2.0 * n, 0.0))) for n in range(41)]
     assert due_times(moving) == [float(n) for n in range(11)]
 
@@ -57,7 +57,7 @@ def test_what_changes_all_the_time_is_told_once_a_second() -> None:
     ],
     ids=["moved", "narrower", "worse for others", "in doubt"],
 )
-def test_a_change_that_matters_is_told(changed: TargetEstimate) -> None:
+def test_a_change_that_matters_is_reported(changed: TargetEstimate) -> None:
     little = replace(ESTIMATE, position_enu_m=(10.3, 20.0))
     assert due_times([(0.0, ESTIMATE), (2.0, little), (4.0, changed)]) == [0.0, 4.0]
 

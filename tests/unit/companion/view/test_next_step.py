@@ -63,7 +63,9 @@ def test_it_goes_by_what_is_known(flown: Loop, changes: dict[str, object], words
 
 
 @pytest.mark.parametrize("state", EstimateState)
-def test_a_search_is_told_by_the_state_of_its_estimate(flown: Loop, state: EstimateState) -> None:
+def test_a_search_is_reported_by_the_state_of_its_estimate(
+    flown: Loop, state: EstimateState
+) -> None:
     estimate = flown.companion.session.estimate
     assert estimate is not None
     hint_now = hint(flown, phase=Phase.NORMAL, estimate=replace(estimate, state=state))

@@ -75,7 +75,7 @@ def test_it_draws_on_a_terminal_with_log_lines_above(flown: Loop) -> None:
 
 
 def test_a_terminal_that_hangs_does_not_hold_up_the_flight(flown: Loop) -> None:
-    """A pipe that nobody reads is full after 64 kB, like a terminal after Ctrl-S."""
+    """An unread pipe is full after 64 kB, like a terminal after Ctrl-S."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     with suppress(BlockingIOError):
@@ -91,7 +91,7 @@ def test_a_terminal_that_hangs_does_not_hold_up_the_flight(flown: Loop) -> None:
         took_s = time.monotonic() - started_s
         view.close()
         os.set_blocking(reader, False)
-        while view._thread.is_alive():  # somebody reads again: the thread can end
+        while view._thread.is_alive():  # the pipe is read again: the thread can end
             with suppress(BlockingIOError):
                 os.read(reader, 1_000_000)
     os.close(reader)

@@ -22,7 +22,7 @@ def test_a_radius_that_grows_promises_nothing() -> None:
     assert [rule.observe(float(t), 2.0 + 0.1 * t) for t in range(20)] == [None] * 20
 
 
-def test_the_confirmation_is_counted_down_and_begins_anew() -> None:
+def test_the_confirmation_is_counted_down_and_begins_again() -> None:
     rule = TimeToGo(1.0, 10.0)
     assert rule.observe(0.0, 0.9) == 10.0
     assert rule.observe(4.0, 0.8) == 6.0

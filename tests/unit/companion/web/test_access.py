@@ -18,7 +18,7 @@ def test_others_are_not_loopback(host: str) -> None:
     assert not is_loopback(host)
 
 
-def test_on_loopback_everybody_may_look_and_nobody_may_press_unless_control_is_on() -> None:
+def test_on_loopback_all_may_look_and_none_may_press_unless_control_is_on() -> None:
     access = Access(HERE, None)
     assert access.may_view(HERE, None)
     assert not access.may_control(HERE, None)
@@ -63,7 +63,7 @@ def test_control_without_a_token_never_leaves_this_computer() -> None:
         ("[::1", False),
     ],
 )
-def test_a_name_that_somebody_points_at_us_is_refused_on_loopback(header: str, ours: bool) -> None:
+def test_a_foreign_host_name_is_refused_on_loopback(header: str, ours: bool) -> None:
     assert Access(HERE, None).is_host_ours(header) is ours
 
 

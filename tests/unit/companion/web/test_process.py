@@ -59,7 +59,7 @@ def test_without_the_extra_it_says_how_to_install_it(monkeypatch: pytest.MonkeyP
         WebProcess(web_settings("8080"), {})
 
 
-def test_the_address_that_is_told_is_the_one_that_is_served() -> None:
+def test_the_address_that_is_reported_is_the_one_that_is_served() -> None:
     for address in ("8080", "192.168.1.7:8080", "field-laptop:8080"):
         settings = web_settings(address)
         assert announced_url(settings) == settings.url

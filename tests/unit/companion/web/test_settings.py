@@ -14,7 +14,7 @@ def test_a_port_alone_serves_this_computer_only_and_needs_no_token() -> None:
     assert settings.url == "http://127.0.0.1:8080/"
 
 
-def test_beyond_loopback_a_token_is_made_up_and_told_in_the_address() -> None:
+def test_beyond_loopback_a_token_is_made_up_and_shown_in_the_address() -> None:
     settings, other = web_settings("0.0.0.0:8080"), web_settings("0.0.0.0:8080")
     assert settings.token is not None
     assert len(settings.token) >= 16

@@ -34,7 +34,7 @@ def test_sessions_may_always_be_ended(opcode: int) -> None:
     assert list(answer_to(request(opcode))[3:6]) == [128, 0, opcode]
 
 
-def test_the_sequence_number_begins_anew_after_its_last() -> None:
+def test_the_sequence_number_begins_again_after_its_last() -> None:
     assert answer_to(request(OPEN_FILE, 0xFFFF))[:2] == b"\0\0"
 
 

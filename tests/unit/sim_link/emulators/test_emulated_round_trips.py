@@ -189,7 +189,7 @@ MANY = [each for each in ALL if each.kind.most >= 4]
 
 
 @pytest.mark.parametrize("format_", MANY, ids=lambda each: str(each.name))
-def test_emitters_are_told_apart(format_: Format) -> None:
+def test_emitters_are_distinguished(format_: Format) -> None:
     ids = (1, 2, 3, 5)
     radio = make_emulator(format_.name, 1, CLOCK_S)
     names = {radio.name_on_wire(emitter_id): emitter_id for emitter_id in ids}

@@ -99,7 +99,7 @@ def test_it_asks_for_the_attitude_and_beats_no_heart_on_the_radios_line() -> Non
     assert mavlink.MAVLINK_MSG_ID_ATTITUDE in asked
 
 
-def test_it_boots_once_and_answers_what_it_is_told() -> None:
+def test_it_boots_once_and_answers_what_it_is_reported() -> None:
     ridden = Ridden("pans")
     ridden.radio.handle_timer(0.5)
     ridden.radio.handle_timer(1.5)
@@ -143,7 +143,7 @@ def test_a_tag_with_tlv_answers_each_question_with_its_latest_and_is_silent_othe
         ("srsran", b'"ta_ns":0.0'),
     ],
 )
-def test_it_says_so_in_its_own_way_where_nobody_answers(name: str, said: bytes) -> None:
+def test_it_reports_a_missing_answer_in_its_own_way(name: str, said: bytes) -> None:
     ridden = Ridden(name)
     ridden.move(10.0, 20.0, 1.0, 1.0)
     assert said in ridden.printed()

@@ -82,7 +82,7 @@ def test_a_process_that_dies_is_one_line_with_what_was_given_out() -> None:
 
 
 @pytest.mark.slow
-def test_whoever_stops_listening_ends_the_work_which_cleans_up(tmp_path: Path) -> None:
+def test_a_reader_that_stops_ends_the_work_which_cleans_up(tmp_path: Path) -> None:
     with open_pool(jobs=2) as pool:
         results = pool.results(_noted, [(tmp_path, number) for number in range(9)])
         assert next(results) == (0, 0)
@@ -170,13 +170,13 @@ def test_an_address_that_is_none(address: str) -> None:
 
 
 @pytest.mark.parametrize("port", [1, 99999])
-def test_nobody_there(port: int) -> None:
+def test_no_scheduler_answers(port: int) -> None:
     with pytest.raises(ConfigError, match="no dask scheduler answers there"):
         open_pool(f"dask://127.0.0.1:{port}").__enter__()
 
 
 @pytest.mark.parametrize("greeting", [b"SSH-2.0-OpenSSH_9.7\r\n", b"hi", b""])
-def test_somebody_else_there(greeting: bytes) -> None:
+def test_another_program_answers(greeting: bytes) -> None:
     with _server(greeting) as port, pytest.raises(OSError, match="something else"):
         check_scheduler("127.0.0.1", port)
 

@@ -108,7 +108,7 @@ def test_a_restarted_autopilot_is_followed_on() -> None:
     assert [round(r.time_usec / 1e6) for r in ridden.ranges()] == [500, 3]
 
 
-def test_an_array_feels_the_attitude_that_is_told() -> None:
+def test_an_array_feels_the_attitude_that_is_reported() -> None:
     ridden = Ridden(payload=PayloadParams(antenna=AntennaModelParams(kind="planar")))
     ridden.radio.handle_timer(0.5)
     assert [m.param1 for m in ridden.asked()].count(mavlink.MAVLINK_MSG_ID_ATTITUDE) == 1

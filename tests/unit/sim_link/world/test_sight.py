@@ -183,7 +183,7 @@ def test_in_the_plane_every_height_blocks() -> None:
     assert is_blocked(-20.0, 0.0, 20.0, 0.0, environment(SQUARE, height_m=0.1).edges)
 
 
-def test_inside_is_told_for_each_obstacle() -> None:
+def test_inside_is_reported_for_each_obstacle() -> None:
     """Overlapping ones do not cancel each other."""
     moved: Corners = tuple((east + 5.0, north) for east, north in SQUARE)
     walls = environment(SQUARE, moved, BLOCK).edges

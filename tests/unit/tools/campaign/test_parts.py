@@ -47,7 +47,7 @@ def test_every_part_is_tried() -> None:
 
 
 NOT_DRAWN = {
-    "rc_loss",  # nobody holds a transmitter in a random mission, so none can be lost
+    "rc_loss",  # a random mission has no transmitter that could be lost
 }
 
 
@@ -89,7 +89,7 @@ def test_random_frames_are_frames() -> None:
     assert reader.counters.bad_crc == 0
 
 
-def test_a_slope_is_told_from_after_the_settling() -> None:
+def test_a_slope_is_reported_from_after_the_settling() -> None:
     hours = [0.5 * i for i in range(10)]
     values = [10.0 if h < 1.0 else 20.0 + 0.3 * h for h in hours]
     assert Usage(hours, values).slope_mb_per_h == pytest.approx(0.3)

@@ -36,7 +36,7 @@ def test_costs_stand_beside_the_papers() -> None:
     assert all(float(row.ours) > 0.0 for row in rows)
 
 
-def test_nothing_is_timed_that_nobody_asked_for() -> None:
+def test_only_requested_cases_are_timed() -> None:
     assert costs_of([_result(["final_rmse_m"])]) == []
 
 

@@ -16,7 +16,7 @@ def _fed(integrity: TrackIntegrity, count: int, start_s: float, *, agrees: bool)
     return lost_s
 
 
-def test_a_run_of_contradictions_is_told_within_two_seconds() -> None:
+def test_a_run_of_contradictions_is_reported_within_two_seconds() -> None:
     integrity = TrackIntegrity()
     assert _fed(integrity, 100, 0.0, agrees=True) == []
     lost_s = _fed(integrity, 30, 10.0, agrees=False)

@@ -51,7 +51,7 @@ def test_a_late_one_makes_nothing_older() -> None:
     assert contact.agreeing == 3
 
 
-def test_after_a_gap_they_are_counted_anew() -> None:
+def test_after_a_gap_they_are_counted_again() -> None:
     contact = _heard(1.0, 1.1, 1.2)
     assert contact.agreeing_since_gap(1.2 + GAP_S) == 3
     assert contact.agreeing_since_gap(1.2 + GAP_S + 0.1) == 0

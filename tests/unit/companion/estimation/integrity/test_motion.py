@@ -220,7 +220,7 @@ def test_looks_are_a_second_and_some_measurements_apart_and_time_may_go_back() -
     assert watch.is_due(3.0)
 
 
-def test_only_a_place_that_is_told_with_some_certainty_is_asked_for() -> None:
+def test_only_a_place_that_is_reported_with_some_certainty_is_asked_for() -> None:
     rows = rows_of(np.random.default_rng(7), velocity_mps=(1.0, 0.0))
     sure, vague = MotionWatch(PARAMS, 2.0), MotionWatch(PARAMS, 2.0)
     watched(sure, rows, r95_m=6.0)

@@ -78,7 +78,7 @@ def test_disagreement_does_not_excuse_itself_by_the_noise_that_it_shows() -> Non
     assert integrity.gate_inflation(inflated) == inflated
 
 
-def test_giving_up_twice_within_a_minute_is_told() -> None:
+def test_giving_up_twice_within_a_minute_is_reported() -> None:
     integrity = TrackIntegrity()
     integrity.give_up(100.0, 500)
     integrity.give_up(130.0, 800)

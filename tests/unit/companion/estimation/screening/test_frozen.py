@@ -21,7 +21,7 @@ def _fed(
     ]
 
 
-def test_a_radio_that_hangs_is_told_within_a_second() -> None:
+def test_a_radio_that_hangs_is_reported_within_a_second() -> None:
     frozen = _fed(FrozenValue(), [50.0 + 0.1 * i for i in range(10)] + [51.0] * 30, 5.0)
     assert frozen.index(True) == 10 + round(10 * FROZEN_S)
     assert all(frozen[20:])

@@ -101,7 +101,7 @@ def test_steps_that_the_radio_is_known_for_repeat_themselves_until_two_were_flow
         assert radio.screen.objection is None
 
 
-def test_a_frozen_bearing_in_the_body_frame_is_told_although_the_vehicle_turns() -> None:
+def test_a_frozen_bearing_in_the_body_frame_is_reported_although_the_vehicle_turns() -> None:
     radio = Radio()
     for _ in range(30):
         turned = RangingMeasurement(

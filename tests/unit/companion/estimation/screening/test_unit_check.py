@@ -84,7 +84,7 @@ def _history(params: FilterParams | None = None) -> SampleHistory:
 @pytest.mark.parametrize("track", ["radial", "abeam", "orbit"])
 @pytest.mark.parametrize("radio", [CANONICAL, UWB, NOISELESS])
 @pytest.mark.parametrize("height_m", [8.0, 20.0])
-def test_a_larger_unit_is_told_within_two_seconds_of_motion(
+def test_a_larger_unit_is_reported_within_two_seconds_of_motion(
     factor: float, track: Track, radio: Radio, height_m: float
 ) -> None:
     for seed in range(3):
@@ -129,7 +129,7 @@ def _in_steps(radio: Radio, track: Track, step_m: float, seed: int) -> list[Samp
 
 @pytest.mark.parametrize("track", ["radial", "abeam", "orbit", "hover"])
 @pytest.mark.parametrize("step_m", [39.04, 78.07])
-def test_metres_in_steps_that_were_told_are_never_condemned(track: Track, step_m: float) -> None:
+def test_metres_in_configured_steps_are_never_rejected(track: Track, step_m: float) -> None:
     configured = FilterParams(range_step_m=step_m, range_offset_sigma_m=0.6 * step_m)
     for seed in range(5):
         for radio in (CELL, NOISELESS):
@@ -137,7 +137,7 @@ def test_metres_in_steps_that_were_told_are_never_condemned(track: Track, step_m
             assert _condemned_s(_history(configured), steps, 1.0) is None
 
 
-def test_ranges_that_flicker_by_two_steps_are_wild_only_where_nobody_told_of_steps() -> None:
+def test_ranges_that_flicker_by_two_steps_are_wild_only_without_configured_steps() -> None:
     flicker = [Sample(0.5 * i, 39.0 + 156.0 * (i % 2), (0.1 * i, 0.0, 20.0)) for i in range(40)]
     assert _condemned_s(_history(FilterParams(range_step_m=78.0)), flicker, 1.0) is None
     assert _condemned_s(_history(), flicker, 1.0) is not None
@@ -154,7 +154,7 @@ def test_outliers_are_another_matter(share: float) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.01, 57.3])
-def test_in_flight_a_new_unit_is_told_and_so_is_its_end(factor: float) -> None:
+def test_in_flight_a_new_unit_is_reported_and_so_is_its_end(factor: float) -> None:
     history = _history()
     samples = [s for s in _samples(CANONICAL, "radial", 8.0, 14.0, 4) if s[1] < 60.0]
     third = len(samples) // 3

@@ -222,7 +222,7 @@ def seen(*off_sigmas: float, count: int = 100) -> Scores:
     return Scores(u, u, np.zeros((3 * count, 4)), is_measured)
 
 
-def test_a_told_antenna_is_contradicted_by_most_directions_for_long() -> None:
+def test_a_configured_antenna_is_contradicted_by_most_directions_for_long() -> None:
     watch = ConfiguredAntennaCheck()
     for time_s, is_contradicted in ((20.0, False), (25.0, False), (30.0, True)):
         watch.look(seen(-6.0, 5.0, 0.0), time_s)

@@ -135,7 +135,7 @@ def test_a_single_place_is_a_line_of_no_length(count: int) -> None:
 
 
 @pytest.mark.parametrize(("straight", "is_collinear"), [(True, True), (False, False)])
-def test_a_walk_along_a_line_is_told(straight: bool, is_collinear: bool) -> None:
+def test_a_walk_along_a_line_is_reported(straight: bool, is_collinear: bool) -> None:
     rows = walk(np.random.default_rng(1), straight=straight)
     seen = observability_of(rows, WindowMap(PLANE).scores(rows, truth()))
     assert seen.is_collinear is is_collinear

@@ -138,7 +138,7 @@ def test_the_mirrored_optimum_is_a_start_that_finds_the_other_one() -> None:
     np.testing.assert_allclose(both[1].mean[:2], both[0].mean[:2] * [1.0, -1.0], atol=0.05)
 
 
-def test_the_same_optimum_is_told_once_and_the_best_one_first() -> None:
+def test_the_same_optimum_is_reported_once_and_the_best_one_first() -> None:
     rows = walk(np.random.default_rng(5), bearings=False)
     solver = WindowMap(params())
     starts = [start_around(rows, 2.0 * math.pi * i / 12, i, params()) for i in range(12)]
@@ -196,7 +196,7 @@ def test_covariance_grows_when_neighbouring_residuals_repeat() -> None:
     assert b.inflation / shares_of(solver.spatial_noise)[0] > 2.0 * a.inflation
 
 
-def test_noise_is_told_apart_from_its_repetition() -> None:
+def test_noise_is_distinguished_from_its_repetition() -> None:
     """One measurement of a slow noise is as good as another; only its neighbours are not."""
     solver = WindowMap(params(range_k_long=None, bearing_k=None))
     rows = walk(np.random.default_rng(5), noise=0.0)

@@ -71,7 +71,7 @@ def test_a_class_that_is_not_flown_is_named(vehicle_class: VehicleClass, name: s
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_failsafe_that_is_told_a_beat_after_its_mode_gives_nothing_back_either(
+def test_a_failsafe_that_is_reported_a_beat_after_its_mode_gives_nothing_back_either(
     autopilot: Autopilot,
 ) -> None:
     flight = flying(autopilot)
@@ -337,7 +337,7 @@ def test_an_order_that_makes_no_sense_hides_no_foreign_mode() -> None:
     assert flight.is_in(Phase.YIELD)
 
 
-def test_numbers_begin_anew_with_the_autopilot() -> None:
+def test_numbers_begin_again_with_the_autopilot() -> None:
     flight = flying()
     numbered(flight, FlightMode.OFFBOARD, 5000)
     flight.give(AutopilotRestarted(flight.now_s))
@@ -345,7 +345,7 @@ def test_numbers_begin_anew_with_the_autopilot() -> None:
     assert flight.session.vehicle.mode is FlightMode.HOLD
 
 
-def test_after_the_launch_was_told_that_it_has_offboard_another_mode_is_somebodys() -> None:
+def test_after_offboard_was_confirmed_to_the_launch_another_mode_is_a_choice() -> None:
     flight = ScriptedFlight(SessionParams(engage="auto")).asking_for_offboard()
     accepted = RequestAnswered(flight.now_s, RequestKind.SET_MODE, Outcome.ACCEPTED, order=100)
     flight.give(accepted)

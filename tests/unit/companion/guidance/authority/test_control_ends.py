@@ -40,7 +40,7 @@ def test_landing_in_control_ends_it(autopilot: Autopilot, landed: LandedState) -
     landed_s = flight.now_s
     flight.fly(10.0)
     assert acts(flight, landed_s) == 0
-    assert flight.is_in(Phase.YIELD)  # the mode is still offboard, and nobody gave it again
+    assert flight.is_in(Phase.YIELD)  # the mode is still offboard, and was not selected again
 
 
 def test_a_vehicle_that_takes_control_on_the_ground_is_not_landing() -> None:
@@ -140,19 +140,19 @@ def test_handing_back_asks_once_stays_and_is_silent_once_it_is_answered() -> Non
 
 
 @pytest.mark.parametrize("outcome", [Outcome.REJECTED, Outcome.NO_ANSWER])
-def test_a_hand_back_that_fails_is_told_and_leaves_the_vehicle(outcome: Outcome) -> None:
+def test_a_hand_back_that_fails_is_reported_and_leaves_the_vehicle(outcome: Outcome) -> None:
     flight = flying(Autopilot.ARDUPILOT)
     flight.session.handover.hand_back(CRITICAL, flight.now_s)
     flight.fly(0.2)
     flight.answer(RequestKind.SET_MODE, outcome)
     assert f"hand-back: {outcome.value}" in flight.texts
     failed_s = flight.now_s
-    flight.fly(30.0)  # in GUIDED all the time: nobody gave it again
+    flight.fly(30.0)  # in GUIDED all the time: it was not selected again
     assert acts(flight, failed_s) == 0
     assert flight.is_in(Phase.YIELD)
 
 
-def test_a_hand_back_nobody_answers_ends_within_a_second_and_a_half() -> None:
+def test_an_unanswered_hand_back_ends_within_a_second_and_a_half() -> None:
     flight = flying()
     flight.session.handover.hand_back(CRITICAL, flight.now_s)
     flight.fly(1.5)

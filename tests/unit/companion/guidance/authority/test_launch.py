@@ -184,7 +184,7 @@ def test_a_repeated_take_off_that_is_refused_may_have_begun(how: str, has_begun:
         assert attempt.launch.is_at_offboard
 
 
-def test_a_request_that_nobody_answers_is_made_again_three_times() -> None:
+def test_an_unanswered_request_is_repeated_three_times() -> None:
     attempt = Attempt().to_stage(Stage.TAKE_OFF)
     asked = 0
     while attempt.launch.failure is None:
@@ -243,7 +243,7 @@ def test_a_lost_request_for_offboard_leaves_its_time_to_the_one_that_is_accepted
         (Autopilot.ARDUPILOT, FlightMode.HOLD),
     ],
 )
-def test_a_vehicle_that_somebody_flies_is_not_launched(
+def test_a_vehicle_that_is_already_flying_is_not_launched(
     autopilot: Autopilot, mode: FlightMode
 ) -> None:
     attempt = Attempt(autopilot, mode)

@@ -131,7 +131,7 @@ def test_without_a_position_nothing_is_planned() -> None:
     assert session.flight_plan.waypoint is None
 
 
-def test_a_frame_that_moves_starts_the_search_anew() -> None:
+def test_a_frame_that_moves_starts_the_search_again() -> None:
     flight = _searching()
     flight.fly(5.0)
     flight.session.flight_plan.forget()
@@ -180,7 +180,7 @@ def test_a_target_in_a_keep_out_is_announced_once_and_found_from_around_it() -> 
     assert min(-depth_m(house, setpoint[:2]) for setpoint in flight.setpoints) >= 2.0 - 1e-9
 
 
-def test_a_lower_pass_is_told_when_it_begins_and_when_it_is_over() -> None:
+def test_a_lower_pass_is_reported_when_it_begins_and_when_it_is_over() -> None:
     flight = ScriptedFlight().in_control()
 
     class Scripted:

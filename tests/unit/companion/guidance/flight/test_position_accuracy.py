@@ -34,7 +34,7 @@ def test_of_two_the_worse_counts() -> None:
     assert better.accuracy(2.0) == PositionAccuracy(0.8, 5.0, is_reported=True)
 
 
-def test_a_height_that_is_not_told_is_worse_than_the_place() -> None:
+def test_a_height_that_is_not_reported_is_worse_than_the_place() -> None:
     assert watch((1.0, RECEIVER, 0.8, None)).accuracy(2.0) == PositionAccuracy(
         0.8, 1.6, is_reported=True
     )
@@ -46,7 +46,7 @@ def test_the_estimator_does_not_stand_for_the_receiver(estimator_m: float) -> No
     assert accuracies.accuracy(2.0) == PositionAccuracy(3.0, 6.0, is_reported=False)
 
 
-def test_what_is_not_told_counts_as_no_better_than_what_is_known() -> None:
+def test_what_is_not_reported_counts_as_no_better_than_what_is_known() -> None:
     accuracies = watch((1.0, RECEIVER, None, None), (1.0, ESTIMATOR, 8.0, 20.0))
     assert accuracies.accuracy(2.0) == PositionAccuracy(8.0, 20.0, is_reported=False)
 

@@ -143,7 +143,7 @@ def test_headings_have_the_same_limits_as_positions() -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
 @pytest.mark.parametrize("axis", range(3))
-def test_states_that_mean_nothing_are_told_from_others(axis: int, value: float) -> None:
+def test_states_that_mean_nothing_are_reported_from_others(axis: int, value: float) -> None:
     numbers = [0.0, 0.0, 0.0]
     numbers[axis] = value
     bad = (numbers[0], numbers[1], numbers[2])
@@ -162,7 +162,7 @@ def test_roll_and_pitch_are_those_between_two_reports() -> None:
     assert math.cos(attitude.yaw_ned_rad) == pytest.approx(-1.0)
 
 
-def test_a_tilt_that_is_not_told_leaves_the_yaw_known() -> None:
+def test_a_tilt_that_is_not_reported_leaves_the_yaw_known() -> None:
     track = VehicleTrack()
     track.add_attitude(10.0, Attitude(1.0))
     track.add_attitude(10.1, Attitude(1.2, (0.3, 0.2)))

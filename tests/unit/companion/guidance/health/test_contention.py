@@ -221,7 +221,7 @@ def test_what_was_flown_before_control_began_is_not_held_against_it() -> None:
         assert watch.step(now_s) is None
 
 
-def test_a_frame_that_moved_begins_anew() -> None:
+def test_a_frame_that_moved_begins_again() -> None:
     line = Line()
     line.run(10.0)
     line.watch.frame_moved(line.now_s)

@@ -40,7 +40,7 @@ def test_a_step_that_no_velocity_explains_is_a_jump(step_m: float, dt_s: float) 
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, MAX_GAP_S), st.floats(0.0, 0.07))
-def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_told(
+def test_no_flight_is_one_however_it_is_flown_and_however_rarely_it_is_reported(
     seed: int, gap_s: float, noise_m: float
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -26,7 +26,7 @@ def test_a_link_that_others_reach_is_refused_without_a_key(links: tuple[str, ...
     check(*links, has_key=True)
 
 
-def test_unsigned_ranging_is_for_links_that_nobody_else_reaches() -> None:
+def test_unsigned_ranging_is_for_links_that_no_other_system_reaches() -> None:
     check(OPEN, OWN, has_key=True, unsigned_ranging=True)
     with pytest.raises(ConfigError, match=r"udpin:0\.0\.0\.0:14540"):
         check(OWN, OPEN, has_key=True, unsigned_ranging=True)

@@ -102,7 +102,7 @@ def test_a_radio_that_only_answers_is_asked_over_a_stream_and_no_page_for_it() -
     assert str(radio_link(setup_of("http", poll), "http://a").transport) == "http://a/"
 
 
-def test_it_is_asked_while_it_is_there_and_whoever_comes_next() -> None:
+def test_requests_go_to_the_present_device_and_then_to_the_next() -> None:
     link = made(setup_of("serial:115200", Poll("", 0.01, b"?")))
 
     async def play() -> list[bytes]:

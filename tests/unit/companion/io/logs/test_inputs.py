@@ -66,7 +66,7 @@ def test_a_file_cut_anywhere_gives_what_came_before(tmp_path: Path) -> None:
     assert counts == set(range(len(inputs)))
 
 
-def test_a_lost_record_is_told(tmp_path: Path) -> None:
+def test_a_lost_record_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "flight.inputs"
     written(path, [1.0, 2.0])
     data = path.read_bytes()

@@ -194,7 +194,7 @@ def test_an_impossible_checkpoint_is_refused(wrong: Checkpoint) -> None:
         (Moment(1030.0, "", 60.0), 30.0),
     ],
 )
-def test_an_age_is_told_by_the_kernels_clock_or_by_one_that_did_not_go_back(
+def test_an_age_is_reported_by_the_kernels_clock_or_by_one_that_did_not_go_back(
     now: Moment, age: float | None
 ) -> None:
     assert age_s(Moment(1000.0, "a", 50.0), now) == age

@@ -57,7 +57,7 @@ def test_a_newest_one_cut_or_flipped_at_every_byte_leaves_the_one_before(tmp_pat
         assert len(found.problems) == 1
 
 
-def test_without_any_whole_one_nothing_is_believed_and_each_is_told(tmp_path: Path) -> None:
+def test_without_any_whole_one_nothing_is_believed_and_each_is_reported(tmp_path: Path) -> None:
     store = store_with(tmp_path, 4, 5)
     store.paths[0].write_bytes(b"")
     store.paths[1].unlink()

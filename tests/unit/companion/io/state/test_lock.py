@@ -78,7 +78,7 @@ def test_other_ports_hosts_and_kinds_are_other_vehicles() -> None:
     assert len({resolved_address(link) for link in links}) == len(links)
 
 
-def test_vehicles_behind_one_router_are_told_apart_by_their_ids(tmp_path: Path) -> None:
+def test_vehicles_behind_one_router_are_distinguished_by_their_ids(tmp_path: Path) -> None:
     locks = [VehicleLock(tmp_path, UDP, system_id) for system_id in (1, 2)]
     for system_id in (1, 2, None):
         with pytest.raises(LinkError, match="another companion"):
@@ -114,7 +114,7 @@ def test_a_killed_companion_leaves_no_lock(tmp_path: Path) -> None:
         VehicleLock(tmp_path, UDP, None).release()
 
 
-def test_a_place_that_keeps_no_locks_is_told_and_flown_without(
+def test_a_place_that_keeps_no_locks_is_reported_and_flown_without(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "file").write_text("")

@@ -161,7 +161,7 @@ def test_a_slot_that_is_no_file_is_a_broken_one(tmp_path: Path) -> None:
         opened(tmp_path)
 
 
-def test_another_key_begins_anew(tmp_path: Path) -> None:
+def test_another_key_begins_again(tmp_path: Path) -> None:
     fly(tmp_path, frames(5))
     signing, _ = opened(tmp_path, SigningKey(bytes(range(2, 34))))
     assert signing.timestamp == NOW
@@ -179,7 +179,7 @@ def test_it_is_stored_each_second(tmp_path: Path) -> None:
     keeper.close()
 
 
-def test_a_folder_that_cannot_be_written_is_told_at_the_start(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported_at_the_start(tmp_path: Path) -> None:
     signing, store = opened(tmp_path / "missing")
     with pytest.raises(CompanionError, match="cannot be written"):
         SigningKeeper(signing, store)

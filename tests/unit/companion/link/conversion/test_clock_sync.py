@@ -167,14 +167,14 @@ def test_an_answer_counts_once() -> None:
     assert sync.offset_at_s(1.1) == pytest.approx(1.005 - 1000.0)
 
 
-def test_questions_that_nobody_answers_are_not_kept() -> None:
+def test_unanswered_requests_are_not_kept() -> None:
     sync = ClockSync()
     for step in range(1000):
         sync.due(0.1 * step, 1, 1)
     assert len(sync._open) <= MAX_OPEN
 
 
-def test_after_a_restart_it_begins_anew() -> None:
+def test_after_a_restart_it_begins_again() -> None:
     autopilot = Autopilot(constant(0.01, 0.01))
     autopilot.run(20.0)
     autopilot.sync.restart()
@@ -187,7 +187,7 @@ def test_after_a_restart_it_begins_anew() -> None:
 @pytest.mark.parametrize(
     ("up_s", "has_restarted"), [(0.1, True), (0.5, True), (10.0, False), (400.0, False)]
 )
-def test_only_a_clock_that_begins_anew_is_one_that_restarted(
+def test_only_a_clock_that_begins_again_is_one_that_restarted(
     up_s: float, has_restarted: bool
 ) -> None:
     """One that goes back and shows more time than has passed since then slipped."""

@@ -74,14 +74,14 @@ def test_another_projection_is_known_by_where_it_is_flown_and_holds_far_away(
         assert off_m(fit, true, position) < 0.02
 
 
-def test_a_projection_that_nobody_knows_is_fitted_where_it_is_flown() -> None:
+def test_an_unknown_projection_is_fitted_where_it_is_flown() -> None:
     true, fit = replace(REPORTED, scale_en=(1.004, 0.997)), GeodesyFit(REPORTED)
     assert flown(fit, true) >= 1
     for position in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (0.0, 0.0, 20.0)):
         assert off_m(fit, true, position) < 0.06
 
 
-def test_an_origin_that_is_not_the_told_one_is_found() -> None:
+def test_an_origin_that_is_not_the_reported_one_is_found() -> None:
     true = LocalOrigin(
         REPORTED.latitude_deg + 3e-5, REPORTED.longitude_deg, 491.0, Projection.SPHERE
     )

@@ -40,7 +40,7 @@ def restart(timebase: Timebase, boot_s: float, now_s: float) -> float:
     raise AssertionError("no restart was detected")
 
 
-def test_a_reboot_is_told_once_it_goes_on_and_starts_a_new_offset() -> None:
+def test_a_reboot_is_reported_once_it_goes_on_and_starts_a_new_offset() -> None:
     timebase = Timebase()
     timebase.read(1000.0, 10.0)
     assert restart(timebase, 0.5, 20.0) == pytest.approx(CONFIRM_S, abs=0.051)
@@ -49,7 +49,7 @@ def test_a_reboot_is_told_once_it_goes_on_and_starts_a_new_offset() -> None:
     assert following.time_s == pytest.approx(22.0)
 
 
-def test_until_it_is_told_the_stamps_of_a_new_clock_are_old_ones() -> None:
+def test_until_it_is_reported_the_stamps_of_a_new_clock_are_old_ones() -> None:
     timebase = Timebase()
     timebase.read(1000.0, 10.0)
     assert timebase.read(0.5, 20.0).time_s == pytest.approx(10.0 - 999.5)

@@ -171,7 +171,7 @@ def test_a_rate_that_changes_is_followed() -> None:
 
 @pytest.mark.parametrize("slip_s", [-30.0, -5.0, -2.0, -0.7, -0.3, 0.3, 1.0, 5.0, 30.0])
 @pytest.mark.parametrize("rate", [1.0, 0.95])
-def test_after_a_slip_all_is_well_within_two_seconds_and_nobody_restarted(
+def test_after_a_slip_all_is_well_within_two_seconds_without_a_restart(
     slip_s: float, rate: float
 ) -> None:
     autopilot = Autopilot(rate=rate)

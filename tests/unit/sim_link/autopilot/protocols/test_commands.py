@@ -226,7 +226,7 @@ def test_progress_is_unknown_until_it_is_reported(calibrating: Vehicle) -> None:
     assert (report.result, report.progress) == (CommandResult.IN_PROGRESS, 40)
 
 
-def test_it_ends_with_a_last_result_for_whoever_gave_it(calibrating: Vehicle) -> None:
+def test_it_ends_with_a_last_result_for_its_sender(calibrating: Vehicle) -> None:
     (outgoing,) = calibrating.commands.finish(CALIBRATE, CommandResult.ACCEPTED, 9.0)
     (ack,) = of_type([outgoing], Ack)
     assert (ack.result, ack.progress, outgoing.to) == (0, 0, STATION_CHANNEL)
@@ -243,7 +243,7 @@ def test_the_same_command_meanwhile_is_temporarily_rejected(
     assert len(calibrating.obeyed) == 1
 
 
-def test_a_repetition_meanwhile_is_told_the_progress(calibrating: Vehicle) -> None:
+def test_a_repetition_meanwhile_is_reported_the_progress(calibrating: Vehicle) -> None:
     calibrating.commands.report(CALIBRATE, 40, 0.5)
     (ack,) = of_type(calibrating.send(long(CALIBRATE, 1.0, confirmation=1)), Ack)
     assert (ack.result, ack.progress) == (CommandResult.IN_PROGRESS, 40)
@@ -253,7 +253,7 @@ def test_another_command_meanwhile_is_obeyed(calibrating: Vehicle) -> None:
     assert results(calibrating.send(long(ARM, 1.0))) == [CommandResult.ACCEPTED]
 
 
-def test_a_cancelled_command_ends_with_cancelled_to_whoever_gave_it(calibrating: Vehicle) -> None:
+def test_a_cancelled_command_ends_with_cancelled_to_its_sender(calibrating: Vehicle) -> None:
     (outgoing,) = calibrating.send(
         MAVLink_command_cancel_message(1, 1, CALIBRATE), partner=COMPANION
     )
@@ -271,7 +271,7 @@ def test_nothing_is_reported_of_what_is_not_under_way() -> None:
     assert Vehicle().commands.report(CALIBRATE, 10, 0.0) == []
 
 
-def test_who_had_it_done_before_is_told_that_another_has_it_under_way() -> None:
+def test_who_had_it_done_before_is_reported_that_another_has_it_under_way() -> None:
     vehicle = Vehicle()
     vehicle.send(long(CALIBRATE, 1.0), partner=COMPANION)
     vehicle.send(long(CALIBRATE, 1.0), CommandResult.IN_PROGRESS, STATION)

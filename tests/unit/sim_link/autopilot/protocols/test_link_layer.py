@@ -118,7 +118,7 @@ def test_each_link_and_component_has_its_own_sequence_numbers() -> None:
     ]
 
 
-def test_an_answer_goes_to_everyone_on_its_link_so_nobody_misses_a_number() -> None:
+def test_an_answer_goes_to_all_on_its_link_so_that_none_misses_a_number() -> None:
     (chunk,) = layer().send(Outgoing(ping(), Channel(UDP, STATION)))
     assert (chunk.link, chunk.peer) == (UDP, None)
 

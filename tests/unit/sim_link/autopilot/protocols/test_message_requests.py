@@ -109,7 +109,7 @@ def test_what_is_no_message_id_is_denied(number: int, first: float) -> None:
 
 
 @pytest.mark.parametrize(("number", "params"), [(GET, (ATTITUDE,)), (REQUEST, (INTERVAL, 30.0))])
-def test_an_interval_is_told_in_either_form(number: int, params: tuple[float, ...]) -> None:
+def test_an_interval_is_reported_in_either_form(number: int, params: tuple[float, ...]) -> None:
     result, outgoing = obey(requests(), number, *params)
     (interval,) = of_type(outgoing, Interval)
     assert result == CommandResult.ACCEPTED

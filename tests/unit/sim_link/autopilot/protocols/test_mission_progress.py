@@ -22,7 +22,7 @@ def current(progress: MissionProgress) -> mavlink.MAVLink_mission_current_messag
     return message
 
 
-def test_the_item_the_total_and_the_state_are_told() -> None:
+def test_the_item_the_total_and_the_state_are_reported() -> None:
     message = current(ACTIVE)
     assert (message.seq, message.total, message.mission_state) == (2, 5, 3)
     assert message.mission_mode == 1

@@ -200,7 +200,7 @@ def test_the_hash_is_silence_on_ardupilot() -> None:
 
 
 @pytest.mark.parametrize("rules", [PX4_RULES, ARDUPILOT_RULES])
-def test_a_change_is_told_to_every_channel(rules: ParameterProfile) -> None:
+def test_a_change_is_reported_to_every_channel(rules: ParameterProfile) -> None:
     parameters = parameters_of(rules)
     outgoing, *more = ask(parameters, set_real("ALTITUDE", 7.5))
     assert len(more) == rules.echoes - 1
@@ -261,7 +261,7 @@ def test_without_a_check_of_ranges_integers_wrap_and_nan_is_silence(
     assert again["SMALL"] == stored
 
 
-def test_read_only_is_told_by_ardupilot_with_the_old_value_and_a_text() -> None:
+def test_read_only_is_reported_by_ardupilot_with_the_old_value_and_a_text() -> None:
     outgoing = ask(ardupilot(), setting("FLOWN", bytes(4), INT32))
     assert len(of_type(outgoing, Value)) == len(of_type(outgoing, Text)) == 1
     assert "read-only" in of_type(outgoing, Text)[0].text
@@ -281,7 +281,7 @@ def test_the_vehicle_changes_what_is_read_only() -> None:
     assert raw_of(value) == struct.pack("<i", 12)
 
 
-def test_a_change_is_told_to_everyone() -> None:
+def test_a_change_is_reported_to_everyone() -> None:
     assert all(each.to is None for each in ask(px4(), set_real("ALTITUDE", 12.0)))
 
 
@@ -289,7 +289,7 @@ def test_other_messages_get_no_answer() -> None:
     assert ask(px4(), mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
 
 
-def test_lists_at_a_time_are_bounded_and_a_running_one_may_begin_anew() -> None:
+def test_lists_at_a_time_are_bounded_and_a_running_one_may_begin_again() -> None:
     parameters = px4()
     request = received(mavlink.MAVLink_param_request_list_message(1, 1))
     for port in range(100):

@@ -177,7 +177,7 @@ def test_px4_gives_no_item_of_another_plan_than_the_listed_one() -> None:
     assert results(client.ask(0, MISSION)) == [PlanResult.ERROR]
 
 
-def test_ardupilot_gives_any_item_at_any_time_and_owes_nobody_an_ack() -> None:
+def test_ardupilot_sends_any_item_at_any_time_and_needs_no_ack() -> None:
     client = ardupilot(3)
     assert of_type(client.ask(1), Item)[0].seq == 1
     client.ask_list()
@@ -230,7 +230,7 @@ def test_an_unknown_type_clears_nothing() -> None:
 # The current item
 
 
-def test_an_item_is_chosen_and_the_vehicle_told() -> None:
+def test_an_item_is_chosen_and_the_vehicle_informed() -> None:
     client = px4(3)
     client.store.take_events()
     assert client.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2)) == []

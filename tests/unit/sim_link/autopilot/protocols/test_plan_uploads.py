@@ -198,7 +198,7 @@ def test_an_item_is_asked_for_again_until_the_upload_is_given_up(
     assert client.plans.handle_timer(1e6) == []
 
 
-def test_each_item_starts_the_waiting_anew() -> None:
+def test_each_item_starts_the_waiting_again() -> None:
     client = px4()
     client.count(4)
     for seq in range(3):
@@ -230,7 +230,7 @@ def test_a_client_that_missed_our_last_ack_gets_it_again() -> None:
 
 @BOTH
 @pytest.mark.parametrize("seq", [0, 1, 7])
-def test_an_item_that_nobody_asked_for_is_an_error(rules: PlanRules, seq: int) -> None:
+def test_an_item_that_was_not_requested_is_an_error(rules: PlanRules, seq: int) -> None:
     client = Client(rules)
     assert results(client.item(seq)) == [PlanResult.ERROR]
     client.upload(waypoints(3))
@@ -244,7 +244,7 @@ def test_an_item_of_another_plan_is_an_error_and_harms_nothing() -> None:
     assert results(client.item(0)) == [PlanResult.ACCEPTED]
 
 
-def test_a_new_count_begins_anew() -> None:
+def test_a_new_count_begins_again() -> None:
     client = px4()
     client.count(3)
     client.item(0)
@@ -336,7 +336,7 @@ def test_a_partner_cannot_cancel_or_feed_anothers_upload() -> None:
     assert asked(client.item(0, partner=STATION)) == [1]
 
 
-def test_ardupilot_denies_a_second_uploader_and_lets_the_first_begin_anew() -> None:
+def test_ardupilot_denies_a_second_uploader_and_lets_the_first_begin_again() -> None:
     client = ardupilot()
     client.count(2, partner=STATION)
     assert results(client.count(2, partner=COMPANION)) == [PlanResult.DENIED]

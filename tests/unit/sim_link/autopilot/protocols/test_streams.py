@@ -88,7 +88,7 @@ def test_minus_one_stops_and_zero_restores_the_default() -> None:
     assert table.interval_us(VERSION) == -1
 
 
-def test_faster_than_possible_is_as_fast_as_possible_and_told_so() -> None:
+def test_faster_than_possible_is_as_fast_as_possible_and_reported_so() -> None:
     table = StreamTable(RULES)
     table.set_interval_us(ATTITUDE, 10.0, 0.0)
     assert table.interval_us(ATTITUDE) == 4000

@@ -66,7 +66,7 @@ def test_a_signature_is_the_signing_modules() -> None:
     assert (read.link_id, read.timestamp, read.is_right) == (3, 99, True)
 
 
-def test_a_wrong_signature_and_none_are_told_apart() -> None:
+def test_a_wrong_signature_and_none_are_distinguished() -> None:
     plain = build_frame(MESSAGES[0], SPEC)
     assert signature_of(plain, KEY) is None
     signed = sign(build_frame(MESSAGES[0], replace(SPEC, incompat=SIGNED)), KEY, 3, 99)

@@ -104,7 +104,7 @@ def test_a_listening_link_answers_its_first_peer_and_has_room_for_one(
         assert peer.recv(100) == b"there"
 
 
-def test_a_taken_port_is_told(peer: socket.socket) -> None:
+def test_a_taken_port_is_reported(peer: socket.socket) -> None:
     with (
         pytest.raises(LinkError, match="taken"),
         open_link(f"udpin:127.0.0.1:{peer.getsockname()[1]}"),
@@ -112,7 +112,7 @@ def test_a_taken_port_is_told(peer: socket.socket) -> None:
         pass
 
 
-def test_a_wrong_address_is_told() -> None:
+def test_a_wrong_address_is_reported() -> None:
     with pytest.raises(ConfigError, match="must begin with"), open_link("carrier-pigeon:1"):
         pass
 

@@ -82,7 +82,7 @@ def note_of_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim_link.lab.conformance.rules.autopilot_notes", lambda: known)
 
 
-def test_a_known_deviation_is_told_apart_from_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_known_deviation_is_distinguished_from_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     note_of_broken(monkeypatch)
     outcomes = run(Flavour.PX4)
     assert [o.verdict.value for o in outcomes] == ["PASS", "NOTED", "FAIL"]

@@ -15,7 +15,7 @@ class Stream:
         self._pieces = pieces
 
     def send(self, data: bytes) -> None:
-        """Nobody hears it."""
+        """No receiver hears it."""
 
     def poll(self, until_s: float) -> list[bytes]:
         self.now_s = until_s
@@ -29,7 +29,7 @@ class Stream:
         """There are none."""
 
 
-def test_frames_of_a_byte_stream_are_told_apart_however_it_is_cut() -> None:
+def test_frames_of_a_byte_stream_are_distinguished_however_it_is_cut() -> None:
     codec = MavCodec(1, 1)
     frames = [codec.encode(mavlink.MAVLink_timesync_message(0, 4_711 + i)) for i in range(3)]
     together = b"".join(frames)

@@ -135,7 +135,7 @@ def test_the_battery_drops() -> None:
     assert flight.sim.vehicle.battery.share == pytest.approx(0.1, abs=0.01)
 
 
-def test_somebody_else_sends_setpoints() -> None:
+def test_another_system_sends_setpoints() -> None:
     flight, _, _ = flown(SecondSender(east_m=-40.0, north_m=-40.0, rate_hz=50.0, duration_s=0.5))
     flight.is_link_up = False
     flight.run(0.4)
@@ -163,7 +163,7 @@ def test_the_companion_is_suspended() -> None:
     assert not [t for t in ears.genuine if began_s < t < began_s + 0.99]
 
 
-def test_the_companion_is_told_to_end() -> None:
+def test_the_companion_is_reported_to_end() -> None:
     flight, _, _ = flown(CompanionTerminated())
     flight.run(2.0)
     assert not flight.is_companion_up

@@ -132,7 +132,7 @@ def test_a_pulled_cable_carries_nothing() -> None:
     assert watcher.times("vehicle sent", 3.0)
 
 
-def test_what_never_holds_is_told() -> None:
+def test_what_never_holds_is_reported() -> None:
     flight, _ = flight_of()
     with pytest.raises(TimeoutError, match="within 2 s"):
         run_until(flight, lambda: False, 2.0)

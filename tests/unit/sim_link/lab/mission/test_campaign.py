@@ -73,7 +73,7 @@ def test_an_autopilot_is_listed_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("link", ["udpin:127.0.0.1:{port}", "serial:/dev/nothere:57600", "x:y"])
-def test_a_link_that_cannot_be_opened_is_told_before_anything_starts(
+def test_a_link_that_cannot_be_opened_is_reported_before_anything_starts(
     tmp_path: Path, link: str
 ) -> None:
     path = script(tmp_path, "m.yaml")
@@ -93,7 +93,7 @@ def counts(junit: Path) -> list[str | None]:
     return [root.get(name) for name in ("tests", "failures", "errors")]
 
 
-def test_a_folder_that_takes_no_reports_is_told_before_anything_flies(
+def test_a_folder_that_takes_no_reports_is_reported_before_anything_flies(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(script(tmp_path, "m.yaml"), "--report", "/proc") == 2
@@ -162,13 +162,13 @@ def test_a_script_that_breaks_the_vehicle_is_not_flown_on_one_of_others(tmp_path
     steps = "[connect, {inject: {kind: battery}}]"
     path = script(tmp_path, "m.yaml", f"name: breaks\nsteps: {steps}\n")
     (task,) = MissionBatch([path], speed=1.0, connect=f"udpin:127.0.0.1:{free_port()}").tasks()
-    result = fly_task(task)  # a link that nobody speaks on would cost a quarter of a minute
+    result = fly_task(task)  # a silent link would cost a quarter of a minute
     assert "cannot be broken" in result.record.skipped
     assert result.title == "breaks (vehicle), seed 0"
 
 
 @pytest.mark.parametrize("is_compiled", [False, True])
-def test_an_interrupt_of_the_warm_up_is_told_in_a_line_and_in_junit(
+def test_an_interrupt_of_the_warm_up_is_reported_in_a_line_and_in_junit(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -187,7 +187,7 @@ def test_an_interrupt_of_the_warm_up_is_told_in_a_line_and_in_junit(
     assert "interrupted" in junit.read_text()
 
 
-def test_an_interrupt_while_scripts_are_looked_at_is_told_in_a_line(
+def test_an_interrupt_while_scripts_are_looked_at_is_reported_in_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def check(_mission: Mission, _name: str) -> None:

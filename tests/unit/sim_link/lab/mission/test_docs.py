@@ -25,7 +25,7 @@ def row(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", STEP_KINDS)
-def test_every_step_is_told_with_its_keys_and_defaults(name: str) -> None:
+def test_every_step_is_reported_with_its_keys_and_defaults(name: str) -> None:
     for field in msgspec.structs.fields(STEP_KINDS[name]):
         if field.default is msgspec.NODEFAULT:
             assert f"`{field.encode_name}`" in row(name)
@@ -34,7 +34,7 @@ def test_every_step_is_told_with_its_keys_and_defaults(name: str) -> None:
             assert f"`{field.encode_name}` ({default})" in row(name)
 
 
-def test_every_expectation_field_and_key_is_told() -> None:
+def test_every_expectation_field_and_key_is_reported() -> None:
     own = {field.encode_name for field in msgspec.structs.fields(Mission)}
     scenario = {field.encode_name for field in msgspec.structs.fields(Scenario)}
     kinds = {field.encode_name for field in msgspec.structs.fields(Expectation)} - {"name"}

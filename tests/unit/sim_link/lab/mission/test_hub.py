@@ -68,7 +68,7 @@ def test_the_vehicle_is_heard_by_all_and_every_client_by_the_vehicle_and_the_oth
     assert [link for link, _ in routed.watched] == [VEHICLE, COMPANION, OPERATOR]
 
 
-def test_what_reaches_the_companion_is_told_when_it_does() -> None:
+def test_what_reaches_the_companion_is_reported_when_it_does() -> None:
     wire, delivered_s = FaultyLink(Schedule(), 1), list[float]()
     hub = Hub(
         wire,

@@ -166,7 +166,7 @@ def test_invariants_that_no_flight_can_judge_are_no_expectation(invariants: list
     )
 
 
-def test_a_fault_that_cannot_be_injected_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_fault_that_cannot_be_injected_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
     path.write_text("name: x\nsteps:\n  - connect\n  - inject: {kind: forged_frames}\n")
     complaint = r"m\.yaml:4: \$\.steps\[1\]\.inject: only possible in lockstep"

@@ -131,7 +131,7 @@ def test_violations_tell_the_first_one() -> None:
     assert "first I7 at 25.00 s: gap of 0.3 s" in verdict("violations: {}").found
 
 
-def test_invariants_that_nobody_watched_are_not_judged() -> None:
+def test_unmonitored_invariants_are_not_judged() -> None:
     mission, unwatched = flown("violations: {}")
     unwatched.scope = NOTHING
     own = verdicts_of(mission, unwatched)[1]

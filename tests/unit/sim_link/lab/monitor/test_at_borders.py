@@ -94,7 +94,7 @@ def test_so_is_what_moves_along_with_a_vehicle_in_the_open() -> None:
     assert found == ["setpoint accelerates too fast"]
 
 
-def test_a_setpoint_may_begin_anew_where_the_vehicle_is() -> None:
+def test_a_setpoint_may_begin_again_where_the_vehicle_is() -> None:
     vehicles = line(30.0, [0.0, 0.0, 0.0, 0.0])
     aside = [(10.07, 30.0), (10.07, 30.0)]
     assert sent_beside(WithinEnvelope, vehicles, [*aside, *vehicles[:2]], is_ours=True) == []
@@ -103,7 +103,7 @@ def test_a_setpoint_may_begin_anew_where_the_vehicle_is() -> None:
     assert found == ["setpoint accelerates too fast"]
 
 
-def test_in_standby_a_vehicle_beside_a_border_is_told_the_nearest_place_inside() -> None:
+def test_in_standby_a_vehicle_beside_a_border_is_reported_the_nearest_place_inside() -> None:
     north_m = BORDER_NORTH_M + 0.5
     inside, far = (10.0, north_m + 4.0), (10.0, north_m + 12.0)
     vehicle = (10.0, north_m)
@@ -146,7 +146,7 @@ def test_where_a_stranger_says_that_the_vehicle_is_counts_only_without_control(
 
 
 @pytest.mark.parametrize("is_ours", [False, True])
-def test_the_altitude_band_holds_whoever_is_believed(*, is_ours: bool) -> None:
+def test_the_altitude_band_holds_whichever_position_is_right(*, is_ours: bool) -> None:
     inside = [(10.0, 30.0)]
     found = sent_beside(
         SetpointsInside, inside, inside, is_ours=is_ours, is_lied_to=True, up_m=500.0
@@ -162,7 +162,7 @@ def test_the_altitude_band_holds_whoever_is_believed(*, is_ours: bool) -> None:
         (True, -20.0, ["a setpoint that freezes leads out of the fence"]),
     ],
 )
-def test_a_vehicle_that_somebody_else_made_too_fast_can_only_be_stopped(
+def test_a_vehicle_that_another_system_made_too_fast_can_only_be_stopped(
     found: list[str], ahead_m: float, *, is_dragged: bool
 ) -> None:
     around = monitored_flight(AUTO, Scenario(), 1)

@@ -125,7 +125,7 @@ def observe_without_failsafes(authority: Authority, heartbeat: HeartbeatReceived
 
 
 @pytest.mark.slow
-def test_a_mode_that_nobody_gave_back_gives_no_right_to_fly() -> None:
+def test_a_mode_that_was_not_selected_again_gives_no_right_to_fly() -> None:
     around = taken_over(is_planted=True)
     before = len(around.monitor.violations)
     mode_s = around.flight.now_s
@@ -183,7 +183,7 @@ def test_guided_that_a_failed_launch_left_behind_gives_no_right_to_fly(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_too_bold", [False, True])
-def test_a_companion_that_begins_anew_in_the_air_has_nothing_to_lose(
+def test_a_companion_that_begins_again_in_the_air_has_nothing_to_lose(
     monkeypatch: pytest.MonkeyPatch, *, is_too_bold: bool
 ) -> None:
     """The offboard mode that it saw was its predecessor's; the pilot's next mode frees it."""

@@ -49,7 +49,7 @@ def true_depth_m(around: Monitored) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
-def test_somebody_else_who_flies_it_out_of_the_fence_is_no_breach(flavour: FlavourName) -> None:
+def test_another_system_that_flies_it_out_of_the_fence_is_no_breach(flavour: FlavourName) -> None:
     around = in_flight(flavour)
     away = SecondSender(rate_hz=15.0, east_m=-200.0, north_m=-200.0, duration_s=40.0)
     around.injector.inject(Schedule(faults=(away,)))
@@ -250,7 +250,7 @@ def test_who_moves_to_a_new_address_without_proof_is_found() -> None:
     assert FollowsTheNextPeer.invariant in quiet_beside_a_stranger(FollowsTheNextPeer, BLACKOUT)
 
 
-def test_before_a_heartbeat_and_after_a_restart_nobody_is_followed_yet() -> None:
+def test_before_a_heartbeat_and_after_a_restart_no_sender_is_followed() -> None:
     whose = followed()
     whose.restart()
     assert not whose.accepts(frame(1.0, is_genuine=False))
@@ -282,7 +282,7 @@ def test_a_station_and_a_vehicle_that_is_not_wanted_are_not_followed() -> None:
 
 @pytest.mark.slow
 def test_who_yields_answers_for_its_last_setpoint_while_that_is_flown() -> None:
-    """An ArduPilot that was left in GUIDED flies to it, however long nobody sends."""
+    """An ArduPilot that was left in GUIDED flies to it, however long no setpoints come."""
     around = in_flight("ardupilot")
     around.monitor.noted("phase", {"new": "yield"}, around.flight.now_s)
     around.flight.run(6.0)

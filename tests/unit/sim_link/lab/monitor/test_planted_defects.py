@@ -173,7 +173,7 @@ def test_who_is_walked_in_is_not() -> None:
 
 
 @pytest.mark.slow
-def test_where_the_wind_takes_one_without_any_position_is_nobodys_doing() -> None:
+def test_drift_with_the_wind_without_any_position_is_no_violation() -> None:
     """Its autopilot lands it with the wind; the companion has handed it back."""
     field = ((-40.0, -40.0), (40.0, -40.0), (40.0, 24.0), (-40.0, 24.0))
     limits = LimitsConfig(fence_enu_m=field, fence_margin_m=1.0)

@@ -31,7 +31,7 @@ def test_a_copy_of_a_frame_that_was_dropped_unread_is_the_first_of_its_kind() ->
     assert not proof.accepts(signed(NOW + 1))
 
 
-def test_what_nobody_can_read_takes_back_nothing() -> None:
+def test_unreadable_frames_take_back_nothing() -> None:
     proof = Proof(KEY)
     assert proof.accepts(signed(NOW))
     proof.unreadable()

@@ -163,7 +163,7 @@ def test_the_same_silence_without_a_reason_is_found() -> None:
     assert {violation.invariant for violation in monitor.violations} == {"I7"}
 
 
-def test_a_stream_that_begins_anew_after_a_late_tick_is_at_the_vehicle() -> None:
+def test_a_stream_that_begins_again_after_a_late_tick_is_at_the_vehicle() -> None:
     monitor = WireMonitor(rules_of(AUTO), LITTLE_S)
     walked(monitor, [1.0] * 5 + [-4.0] + [0.0] * 2, [0.05] * 5 + [0.32] + [0.05] * 2)
     assert [v for v in monitor.violations if "fast" in v.what] == []
@@ -203,7 +203,7 @@ def test_a_covariance_in_the_log_is_judged() -> None:
 
 
 @pytest.mark.parametrize("scope", [LOCKSTEP, WIRE])
-def test_every_invariant_is_judged_or_not_and_the_reason_is_told(scope: Any) -> None:
+def test_every_invariant_is_judged_or_not_and_the_reason_is_reported(scope: Any) -> None:
     assert list(TITLES) == [f"I{number}" for number in range(1, 14)]
     assert {*scope.judged} | {*scope.unjudged} == {*TITLES}
     assert not {*scope.judged} & {*scope.unjudged}

@@ -81,7 +81,7 @@ def test_a_cell_says_what_was_reported_and_what_of_that_is_true() -> None:
     }
 
 
-def test_where_nobody_reported_nothing_is_said_of_reports() -> None:
+def test_without_any_report_nothing_is_said_of_reports() -> None:
     rows = summary_of([NOBODY])
     assert [row.metric for row in rows if row.ours] == ["flights", "reported"]
     assert "| latched_crossing, configured | 1 | 0 % |  |" in markdown_of(rows)

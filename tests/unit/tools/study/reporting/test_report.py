@@ -145,7 +145,7 @@ def test_outside_of_a_checkout_the_commit_is_unknown(tmp_path: Path) -> None:
     assert _commit(tmp_path) == "unknown"
 
 
-def test_local_changes_are_told(tmp_path: Path) -> None:
+def test_local_changes_are_reported(tmp_path: Path) -> None:
     git = ["git", "-C", str(tmp_path), "-c", "user.name=A", "-c", "user.email=a@example.org"]
     (tmp_path / "file").write_text("one")
     for arguments in (["init", "-q"], ["add", "file"], ["commit", "-q", "-m", "one"]):
