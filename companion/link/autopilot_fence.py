@@ -8,7 +8,8 @@ in/out with the number of its vertices in parameter 1, 5003/5004 circle in/out w
 there.
 
 A request without an answer is repeated, one at a time; after some tries the download pauses, each
-time for longer.
+time for longer. In MAVLink 1 an answer has no mission type, and ArduPilot refuses every other plan
+with a text to all stations, so one request per download is enough.
 
 A fence that stations may change is read again. PX4 reports a change by another fence_id in
 MISSION_CURRENT, ArduPilot by the PARAM_VALUE of a FENCE_ parameter on all links (its number of
@@ -48,6 +49,7 @@ from companion.mav.payloads import (
     ParamType,
     fence_id_of,
     is_for,
+    is_mavlink1,
     name_of,
     raw_of,
     value_from_raw,
@@ -58,6 +60,7 @@ TRIES = 8
 """Tries of one request: at 30 % loss each way 99.5 % are answered by then."""
 REST_S, LAST_REST_S = 10.0, 60.0
 """First and longest pause after a failed download."""
+NEEDS_MAVLINK_2 = "its port speaks MAVLink 1, which has no fences: set it to MAVLink 2"
 READ_AGAIN_S = 10.0
 """Interval of repeated readings: at 5 m/s, the usual speed limit, a vehicle flies 50 m in it; a
 square takes about 5 frames."""
@@ -104,12 +107,16 @@ class _Reading:
     items: list[Item] = field(default_factory=list)
     tries: int = 0
     next_s: float = -math.inf
-    refusal: int | None = None
-    """MAV_MISSION_RESULT of an autopilot that refused; None if it did not."""
+    refusal: str | None = None
+    """Result of an autopilot that refused, in words; None if it did not."""
 
     def advance(self) -> None:
         """Note that the request was answered; the next one is due at once."""
         self.tries, self.next_s, self.refusal = 0, -math.inf, None
+
+    def refuse(self, why: str, now_s: float) -> None:
+        """Note that no repetition of the request will be answered."""
+        self.refusal, self.tries, self.next_s = why, TRIES, now_s
 
 
 class FenceDownload:
@@ -200,10 +207,7 @@ class FenceDownload:
         reading = self._reading
         if reading is None or reading.tries < TRIES or now_s < reading.next_s:
             return None
-        why = "no answer"
-        if reading.refusal is not None:
-            words = result_words("MAV_MISSION_RESULT", reading.refusal, "MAV_MISSION_")
-            why = f"refused ({words})"
+        why = "no answer" if reading.refusal is None else f"refused ({reading.refusal})"
         self._end(now_s)
         self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
         return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None
@@ -211,13 +215,19 @@ class FenceDownload:
     def receive(self, message: Message, now_s: float, own: Ids) -> AutopilotFenceRead | None:
         """Process a message of the autopilot for us; return its fence once complete, else None."""
         reading = self._reading
-        if reading is None or not isinstance(message, Answer) or message.mission_type != FENCE:
+        if reading is None or not isinstance(message, Answer) or not is_for(message, own):
             return None
-        if not is_for(message, own):
-            return None
+        if is_mavlink1(message):
+            reading.refuse(NEEDS_MAVLINK_2, now_s)
+        elif message.mission_type == FENCE:
+            return self._take(reading, message, now_s)
+        return None
+
+    def _take(self, reading: _Reading, message: Answer, now_s: float) -> AutopilotFenceRead | None:
         match message:
             case mavlink.MAVLink_mission_ack_message():
-                reading.refusal = message.type
+                words = result_words("MAV_MISSION_RESULT", message.type, "MAV_MISSION_")
+                reading.refusal = words
                 return None
             case mavlink.MAVLink_mission_count_message() if reading.count is None:
                 reading.count = message.count

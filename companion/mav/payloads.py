@@ -26,7 +26,7 @@ import struct
 from enum import Enum, IntEnum
 from typing import Protocol
 
-from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, SIGNATURE_LENGTH, message_id
+from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, MAGIC_V1, SIGNATURE_LENGTH, message_id
 from companion.mav.dialect import Message, mavlink
 from companion.mav.signing import is_signed
 
@@ -84,6 +84,12 @@ def payload_of(frame: bytes) -> bytes:
     """Return the payload of one whole frame as on the wire, trailing zeros truncated."""
     end = len(frame) - CRC_LENGTH - (SIGNATURE_LENGTH if is_signed(frame) else 0)
     return frame[HEADER_LENGTH[frame[0]] : end]
+
+
+def is_mavlink1(message: Message) -> bool:
+    """Return True if a received message came in MAVLink 1, without its extension fields."""
+    frame = message.get_msgbuf()
+    return bool(frame) and frame[0] == MAGIC_V1
 
 
 EVERYONE = (0, 0)

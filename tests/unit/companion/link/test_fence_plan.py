@@ -18,7 +18,7 @@ from companion.link.autopilot_fence import (
     Item,
     fence_of_items,
 )
-from companion.mav.codec import MavCodec
+from companion.mav.codec import MAGIC_V1, MavCodec
 from companion.mav.dialect import Message, mavlink
 from companion.mav.payloads import IdentifiedMissionCurrent
 
@@ -166,6 +166,26 @@ class TestTheTransfer:
         assert result is not None
         assert result.problem == "refused (unsupported)"
         assert not result.is_unusable
+
+    def test_a_port_in_mavlink_1_is_asked_once_a_round_and_named(self) -> None:
+        """ArduCopter 4.7-dev sends "Need mavlink2 for item transfer" to all, for each request."""
+        unsupported = mavlink.MAV_MISSION_UNSUPPORTED
+        body = bytes((3, 0, *AUTOPILOT, mavlink.MAVLINK_MSG_ID_MISSION_ACK, *OWN, unsupported))
+        crc = mavlink.x25crc(body + bytes((Ack.crc_extra,))).crc
+        (refused,) = MavCodec(9, 9).decode(bytes((MAGIC_V1,)) + body + crc.to_bytes(2, "little"))
+        fetch, asked, problems = FenceDownload(), 0, []
+        for step in range(round((REST_S + 5.0) / 0.05)):
+            now_s = 0.05 * step
+            result = fetch.check_silence(now_s)
+            problems += [] if result is None else [result.problem]
+            if fetch.due(now_s, AUTOPILOT, is_wanted=True) is not None:
+                asked += 1
+                fetch.receive(refused, now_s, OWN)
+        assert asked == 2
+        assert (
+            problems
+            == ["refused (its port speaks MAVLink 1, which has no fences: set it to MAVLink 2)"] * 2
+        )
 
     def test_an_unknown_refusal_is_reported_by_its_number(self) -> None:
         fetch = FenceDownload()
