@@ -210,7 +210,13 @@ def run_demo(
     at_end: Callable[[Path], None] | None = None,
 ) -> bool:
     """Fly, print the result, write the outputs; return True if the target was found."""
-    _check_outputs(options)
+    # refuse outputs before the flight that could not be written after it
+    for path in (options.json, options.plot):
+        if path is not None:
+            check_writable(path)
+    if options.plot is not None and options.plot.suffix.lower() not in PICTURE_SUFFIXES:
+        known = ", ".join(PICTURE_SUFFIXES)
+        raise ConfigError(f"--plot {options.plot}: the name must end in {known}")
     port = free_udp_port()
     with tempfile.TemporaryDirectory() as temporary:
         report = Path(temporary) / "sim-link.json"
@@ -240,16 +246,6 @@ def run_demo(
 def _emitter_enu_m(report: Mapping[str, Any]) -> Point:
     east_m, north_m = report["emitter"]["enu_m"][:2]
     return (float(east_m), float(north_m))
-
-
-def _check_outputs(options: DemoOptions) -> None:
-    """Refuse outputs before the flight that could not be written after it."""
-    for path in (options.json, options.plot):
-        if path is not None:
-            check_writable(path)
-    if options.plot is not None and options.plot.suffix.lower() not in PICTURE_SUFFIXES:
-        known = ", ".join(PICTURE_SUFFIXES)
-        raise ConfigError(f"--plot {options.plot}: the name must end in {known}")
 
 
 def _demo_config(

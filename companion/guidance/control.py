@@ -70,7 +70,9 @@ class ControlTick:
         self._search(now_s)
         self._advance_phase(finding, now_s)
         if context.guard.limits.fence is not self._fence_messages.logged:
-            self._record_fence()
+            fence = self._fence_messages.record(context.guard.limits.fence)
+            if fence is not None:
+                context.record("fence", **fence)
         position = context.vehicle.position_enu_m
         logged = self._logged_enu_m
         if position is not None and (
@@ -99,11 +101,6 @@ class ControlTick:
             self._announce_guard_reasons(reasons, now_s)
         context.send(SendSetpoint(setpoint))
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
-
-    def _record_fence(self) -> None:
-        fence = self._fence_messages.record(self._context.guard.limits.fence)
-        if fence is not None:
-            self._context.record("fence", **fence)
 
     def _search(self, now_s: float) -> None:
         """Count the time in which the radio listens, while there is an emitter to be heard."""

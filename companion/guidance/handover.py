@@ -69,7 +69,14 @@ class Handover:
             case events.RequestAnswered():
                 self._note_answer(event)
             case events.AutopilotRestarted():
-                self._reset_after_restart(event)
+                context, now_s = self._context, event.time_s
+                context.fencing.forget(is_other=event.is_other)
+                context.vehicle.forget()
+                context.forget_target()
+                context.authority.forget_autopilot()
+                context.enter(Trigger.RESTARTED, now_s)
+                if not event.is_other:
+                    context.warn("autopilot restarted: reselect the mode to resume")
             case events.ControlStalled():
                 self._note_stall(event)
             case events.IdConflictHeard():
@@ -282,16 +289,6 @@ class Handover:
             context.warn(fencing.note)
         elif fencing.is_ready:
             context.announce(Severity.INFO, f"fence: {fencing.words}")
-
-    def _reset_after_restart(self, event: events.AutopilotRestarted) -> None:
-        context, now_s = self._context, event.time_s
-        context.fencing.forget(is_other=event.is_other)
-        context.vehicle.forget()
-        context.forget_target()
-        context.authority.forget_autopilot()
-        context.enter(Trigger.RESTARTED, now_s)
-        if not event.is_other:
-            context.warn("autopilot restarted: reselect the mode to resume")
 
     def hold_if_unconfirmed(self, finding: Finding, now_s: float) -> Finding:
         """Return HOLD instead of a hand-back while the mode is unconfirmed: a pilot may fly."""

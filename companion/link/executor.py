@@ -126,7 +126,15 @@ class SessionExecutor:
     def _receive_occasional(self, message: Message, order: int, now_s: float) -> None:
         """Process a message about the fence, an acknowledgement, or a text."""
         if isinstance(message, FenceMessage):
-            self._receive_fence(message, now_s)
+            queries, own_ids = self._queries, self.outlet.own_ids
+            if queries.fence.notice(message, own_ids):
+                self.handle(AutopilotFenceChanged(now_s), now_s)
+            parameters = queries.fence_parameters
+            if parameters.receive(message, self.binding.autopilot):
+                self.handle(AutopilotFenceLimitsRead(now_s, parameters.limits), now_s)
+            fence = queries.fence.receive(message, now_s, own_ids)
+            if fence is not None:
+                self.handle(fence, now_s)
         match message:
             case mavlink.MAVLink_command_ack_message() if is_for(message, self.outlet.own_ids):
                 answer = self.requests.receive_ack(message, now_s)
@@ -138,18 +146,6 @@ class SessionExecutor:
                 shown = "".join(c if c.isprintable() else "?" for c in words.rstrip())
                 fields = {"text": shown, "dropped": self._text_limit.refused}
                 self.journal.record("autopilot_text", fields, now_s)
-
-    def _receive_fence(self, message: Message, now_s: float) -> None:
-        """Process a message that may be about the autopilot's fence."""
-        queries, own_ids = self._queries, self.outlet.own_ids
-        if queries.fence.notice(message, own_ids):
-            self.handle(AutopilotFenceChanged(now_s), now_s)
-        parameters = queries.fence_parameters
-        if parameters.receive(message, self.binding.autopilot):
-            self.handle(AutopilotFenceLimitsRead(now_s, parameters.limits), now_s)
-        fence = queries.fence.receive(message, now_s, own_ids)
-        if fence is not None:
-            self.handle(fence, now_s)
 
     # What the session wants
 

@@ -76,10 +76,6 @@ class Presence:
             name, own_id = outbound.MARK, float(self._outlet.own_ids[1])
             mark = mavlink.MAVLink_named_value_float_message(time_boot_ms(now_s), name, own_id)
             self._outlet.broadcast(mark, now_s, is_droppable=True)
-        self._send_searched(now_s)
-        self._send_estimates(now_s)
-
-    def _send_searched(self, now_s: float) -> None:
         searching = self._session.searching
         if searching.is_counting and searching.is_worth_reporting and searching.state is not None:
             values = {
@@ -88,6 +84,7 @@ class Presence:
             }
             for value in _floats(values, now_s):
                 self._outlet.broadcast(value, now_s, is_droppable=True)
+        self._send_estimates(now_s)
 
     def _send_estimates(self, now_s: float) -> None:
         origin = self._session.vehicle.origin

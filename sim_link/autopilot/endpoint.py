@@ -141,7 +141,18 @@ class SimEndpoint:
         arrivals, forwarded = self.links.receive(chunk)
         self._output += forwarded
         for message, origin in arrivals:
-            self._handle(message, origin, now_s)
+            services, boot_s = self._services, now_s - self._started_s
+            frame = bytes(message.get_msgbuf()[:1])
+            if frame[0] == MAGIC_V1 and services.addressing.is_for_us(message):
+                services.requests.open(origin, boot_s)  # in MAVLink 1, unlike the rest of its link
+                self.links.keep_apart(services.requests.channels)
+                self.links.speaks_as(origin, frame)
+            answers = services.handle(message, origin, boot_s)
+            self.links.keep_apart(services.requests.channels)
+            self._send_all(answers)
+            refused = reject_command(message, self._scenario.system_id)
+            if refused is not None:
+                self._send_all([Outgoing(refused, origin)], PAYLOAD_ID)
             if self._services.wants_reboot:
                 self._reboot(now_s, 0.0)
 
@@ -243,20 +254,6 @@ class SimEndpoint:
     def parameters_text(self) -> str:
         """The parameters that differ from their defaults, to be stored."""
         return self.vehicle.flavour.parameters.to_text()
-
-    def _handle(self, message: Message, channel: Channel, now_s: float) -> None:
-        services, boot_s = self._services, now_s - self._started_s
-        frame = bytes(message.get_msgbuf()[:1])
-        if frame[0] == MAGIC_V1 and services.addressing.is_for_us(message):
-            services.requests.open(channel, boot_s)  # in MAVLink 1, unlike the rest of its link
-            self.links.keep_apart(services.requests.channels)
-            self.links.speaks_as(channel, frame)
-        answers = services.handle(message, channel, boot_s)
-        self.links.keep_apart(services.requests.channels)
-        self._send_all(answers)
-        refused = reject_command(message, self._scenario.system_id)
-        if refused is not None:
-            self._send_all([Outgoing(refused, channel)], PAYLOAD_ID)
 
     def _step(self, boot_s: float) -> None:
         self.vehicle.flavour.step(boot_s)
