@@ -158,8 +158,7 @@ def _wrapped(longitude_deg: float) -> float:
 
 
 LEAST_PIXELS = 400
-"""Minimum pixels of the longer side, so that cells stay sharp in viewers that smooth what they
-enlarge."""
+"""Minimum pixels of the longer side, so that cells stay sharp in viewers that smooth."""
 POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
 """Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design"."""
 OPACITY = 150

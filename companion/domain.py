@@ -257,8 +257,7 @@ class TargetEstimate:
     absolute_r95_m: float = -math.inf
     """The same radius with the vehicle position's error in it; never less than `r95_m`."""
     settled_r95_m: float = math.inf
-    """`r95_m` without the drift of the vehicle position since then, which more measurements do not
-    reduce."""
+    """`r95_m` without the position's drift since then, which measurements do not reduce."""
 
     def __post_init__(self) -> None:
         """Fill in derived radii, of independent errors and a constant vehicle position error."""
@@ -396,8 +395,7 @@ ARDUPILOT_NAMES: dict[FlightMode, str] = {
     FlightMode.STABILIZED: "STABILIZE",
     FlightMode.ACRO: "ACRO",
 }
-"""ArduPilot's names of its modes. BRAKE is HOLD: LOITER obeys the throttle stick, which may be
-down."""
+"""ArduPilot's names of its modes; BRAKE is HOLD, as LOITER obeys a throttle that may be down."""
 
 
 class LandedState(Enum):

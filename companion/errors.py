@@ -7,8 +7,7 @@ import shlex
 import sys
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOT_FOUND = 1, 2, 3
-"""Exit codes: a failed run, bad input or a link that does not open, a search that came to its end
-with nothing heard."""
+"""Exit codes: failed run; bad input or unopened link; search that ended with nothing heard."""
 
 
 class CompanionError(Exception):

@@ -137,8 +137,7 @@ def mgrs_text(position_deg: Degrees, r95_m: float) -> str:
 
 
 DECIMALS = 7
-"""Decimals of degrees, about a centimetre; RFC 7946 section 11.2 recommends no more digits than are
-known."""
+"""Decimals of degrees, a centimetre; RFC 7946 section 11.2 wants no more than is known."""
 
 
 def geojson(handoffs: Iterable[Handoff]) -> str:

@@ -297,8 +297,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         self._journal = journal
         self._next_s: float | None = None
         self._written: tuple[float, bool, Progress, bool] | None = None
-        """Seconds listened, True if that is all, emitters found, and True with a learnt reach, as
-        written last."""
+        """Written last: seconds listened, True if all, found emitters, True with a learnt reach."""
         self._busy_s = 0.0
         """Time that the last write took."""
         super().__init__("write searched area", MAX_QUEUED)

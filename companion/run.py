@@ -33,11 +33,7 @@ from companion.diagnostics import (
     raised_priority,
 )
 from companion.errors import CompanionError, LinkError
-from companion.flight_setup import (
-    build_endpoint,
-    build_planner,
-    open_journal,
-)
+from companion.flight_setup import build_endpoint, build_planner, open_journal
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import IN_CONTROL, Phase

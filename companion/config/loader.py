@@ -301,16 +301,12 @@ def _one_line(text: str) -> str:
 
 _PACKAGE = Path(__file__).parents[1]
 CONFIG_FOLDERS = (Path("configs"), _PACKAGE.parent / "configs", _PACKAGE / "configs")
-"""Folders in the working directory, in the checkout and in the installed package; the first that
-exists counts."""
+"""Folders in the working directory, checkout and installed package; the first to exist counts."""
 PRESETS = ("companion", "radios")
 
 
 def shipped_file(name: str) -> Path:
-    """Return a file below `configs` of the program itself; raise `ConfigError` if it is missing.
-
-    The working directory is not searched: root installs the file found here.
-    """
+    """Return a file below the program's own `configs`, never the working directory's."""
     for folder in CONFIG_FOLDERS[1:]:
         if (folder / name).is_file():
             return folder / name

@@ -159,8 +159,7 @@ class LogConfig(Params, frozen=True):
     directory: str = "flights"
     """Folder for the folders of the flights."""
     max_mb: Annotated[float, msgspec.Meta(ge=1.0, le=1e9)] = 1000.0
-    """Cap of one flight's logs; of a longer flight the newest part is kept. A tenth is for
-    events."""
+    """Cap of one flight's logs: of more the newest part is kept. A tenth is for events."""
     mcap: bool = False
     """True: flight.mcap is written as well, for Foxglove; needs the extra `mcap`."""
     keep_flights: AtLeastOne | None = None
@@ -176,8 +175,7 @@ class ProcessConfig(Params, frozen=True):
     """State kept from one process to the next."""
 
     state_directory: str | None = None
-    """Folder of checkpoints and locks; null: systemd's StateDirectory, or
-    ~/.local/state/companion."""
+    """Folder of checkpoints and locks; null: systemd's, or ~/.local/state/companion."""
     resume_max_age_s: Positive | None = 600.0
     """The mission's state is saved once a second, for a restart in flight; an older one is not
     restored; null: none is saved."""

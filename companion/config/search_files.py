@@ -280,8 +280,7 @@ def _raster(box_deg: tuple[float, float, float, float], weights: NDArray[np.floa
 
 
 MOST_DEGREES = 60.0
-"""Largest extent of a raster in degrees; a fence of 20 km spans 2 degrees of longitude far
-north."""
+"""Largest extent of a raster in degrees; 20 km span 2 degrees of longitude far north."""
 GEOGRAPHIC, PIXEL_IS_POINT = 2, 2
 WGS84_CODES = (4326, 4258, 4269)
 """EPSG codes of WGS84, ETRS89 and NAD83, which differ by a metre."""

@@ -73,10 +73,8 @@ class Tunables:
 
     def __init__(self, config: CompanionConfig, build_planner: BuildPlanner) -> None:
         self.file = config
-        """Configuration as read from its file."""
         self._build_planner = build_planner
         self.config = config
-        """Configuration in force."""
         self.changed: dict[str, float] = {}
         """Values that differ from the file, by name."""
 

@@ -18,10 +18,8 @@ class StreamRate:
     """Measured rate of one kind of message of the autopilot."""
 
     name: str
-    """MAVLink's name of the message."""
     asked_hz: float
     count: int
-    """Number of messages received."""
     seconds: float
     """Time in which they were received."""
 
@@ -83,7 +81,6 @@ class LinkFacts:
     waited_s: float
     """Time of listening for an autopilot."""
     autopilot: AutopilotFacts | None
-    """Facts of the autopilot; None if none was heard."""
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
     """System ids under which another component with the companion's id sent."""
@@ -119,9 +116,7 @@ class HostFacts:
     python: tuple[int, int, int]
     numpy: str
     can_compile_kernels: bool
-    """True if numba is installed."""
     are_kernels_compiled: bool
-    """True if the kernels were compiled ahead."""
     priority: str | None
     """Priority granted to a flight started in the same way; None: normal priority."""
     logs: FolderFacts

@@ -34,8 +34,7 @@ Position = tuple[float, float, float]
 
 AT_REST = (0.0, 0.0, 0.0)
 JUMP_STEPS = 2.0
-"""Distance from vehicle to setpoint, in steps, beyond which the position jumped: no lag explains
-it."""
+"""Steps between vehicle and setpoint that mean a jump of the position: no lag explains it."""
 ASIDE_M = 2.0
 """Lateral distance within which a setpoint is on the vehicle's way back inside."""
 

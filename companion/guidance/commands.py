@@ -144,8 +144,7 @@ class SessionParams(Params, frozen=True):
     stop_confirm_s: Waiting = 10.0
     """Time for which R95 must stay below `stop_radius_m`."""
     settle_s: Waiting | None = 45.0
-    """Time in which R95 must improve by 8 %, or the target is reported with the radius that it has;
-    null: never."""
+    """Time in which R95 must improve by 8 %, else the target is reported; null: never."""
     on_localised: Literal["hold", "return", "land"] = "hold"
     """Mode to request after the report, a value of `FlightMode`."""
     searches_on: bool = msgspec.field(default=False, name="continue")

@@ -52,7 +52,6 @@ from companion.planning.planner import Planner
 from companion.search.searched_area import SearchPrior
 
 ERROR_HOLD_S = 1.0
-"""Duration of the hold after an internal error."""
 WINDOW_S = 10.0
 MOST_ERRORS = 3
 TEXT_PERIOD_S = 10.0
@@ -123,7 +122,6 @@ class FindingMessages:
 
     def __init__(self) -> None:
         self.announced: Finding | None = None
-        """The finding that was announced last."""
         self._seen_s = -math.inf
         """Last time at which the announced state was current."""
         self._announced_s: dict[Reason | None, float] = {}

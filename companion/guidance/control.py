@@ -19,8 +19,7 @@ from companion.guidance.readiness import LaunchPermit, WaitingReason, missing_in
 from companion.guidance.reporting import Reporting
 
 TICK_S = 0.05
-"""Setpoint rate of 20 Hz: PX4 needs more than 2 Hz, and a lossy link still delivers enough of
-20."""
+"""Setpoint rate of 20 Hz: PX4 needs 2 Hz, and a lossy link still delivers enough of 20."""
 HEARTBEAT_PERIOD_S = 1.0
 READY_AGAIN_S = 3.0
 """Longest interruption that is not announced each time."""
@@ -52,7 +51,6 @@ class ControlTick:
         self._guard_messages = GuardMessages()
         self._fence_messages = FenceMessages()
         self._logged_enu_m: PositionEnu | None = None
-        """Vehicle position that was logged last."""
         self._tick_s: float | None = None
         self._next_heartbeat_s = -math.inf
         self._sent_s = -math.inf

@@ -58,8 +58,7 @@ class Authority:
         self.phase = Phase.WAITING
         self.since_s = 0.0
         self.has_left_offboard = False
-        """True once the vehicle has left offboard after the report: the companion must not stream
-        again."""
+        """True once the vehicle left offboard after the report: never stream again."""
         self.grant_reason: str | None = None
         """Reason that only a grant, or the end of the flight, removes; None: no latch."""
         self.is_offboard_reselected = False

@@ -139,8 +139,7 @@ class OriginSet(Event):
 
     origin: LocalOrigin
     off_m: float = 0.0
-    """Distance of the autopilot's global position from the local one before the transform was
-    fitted."""
+    """Distance of the global position from the local one before the transform was fitted."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,7 @@ class FencePolicy(Enum):
     IGNORE = "ignore"
     """The autopilot's fence is not downloaded at all."""
     COMPARE = "compare"
-    """The autopilot's fence must equal ours; a missing or unreported one is announced and
-    allowed."""
+    """The autopilot's fence must equal ours; a missing one is announced and allowed."""
     REQUIRE = "require"
     """The autopilot must have a fence, and it must equal ours."""
     USE = "use"
@@ -93,8 +92,7 @@ class Fencing:
         self._origin: LocalOrigin | None = None
         self._read: AutopilotFenceRead | None = None
         self._flown: tuple[GeoFence, ...] = ()
-        """The autopilot's fences of this flight, the newest first; on the ground only the current
-        one."""
+        """The autopilot's fences of this flight, newest first; on the ground one at most."""
         self.fence_limits = FenceLimits()
         """The autopilot's fence by parameters; in the air the strictest of this flight."""
         self._reported_limits = FenceLimits()

@@ -44,14 +44,11 @@ class Handover:
         """True if the vehicle was in the air since control began."""
         self._announced_missing: list[str] = []
         self._is_ignoring_announced = False
-        """True once it was announced that offboard is ignored."""
         self._grant_announced_s: float | None = None
         """Start of the yield for which the need of a grant was announced."""
         self._fitted_at: tuple[float, float, float] | None = None
-        """Origin for which the fitted transform was announced: latitude and longitude in degrees,
-        metres."""
+        """Origin for which the fitted transform was announced: degrees, degrees, metres."""
         self._hand_back_mode = FlightMode.HOLD
-        """Mode that is requested on hand-back."""
         self._asked_s: float | None = None
         """Time of that request; None: not sent, because the current mode is not confirmed."""
 
@@ -251,10 +248,7 @@ class Handover:
         context.vehicle.handle(event)
 
     def take_home(self, event: events.HomeSet) -> None:
-        """Set the vehicle's home; if it moves in flight, hold for a moment and warn.
-
-        Neither the plan nor its altitude changes.
-        """
+        """Set home; if it moves in flight, hold and warn: plan and altitude stay."""
         context, before = self._context, self._context.vehicle.reported_home_enu_m
         context.vehicle.handle(event)
         if context.authority.phase not in HAS_VEHICLE or before is None:

@@ -89,8 +89,7 @@ class Launch:
         """Modes that the launch itself passes through."""
         self._was_armed = False
         self._refused: str | None = None
-        """Reason of a refused repetition: ArduPilot refuses it when the first take-off has
-        begun."""
+        """Reason of a refused repetition: ArduPilot refuses it once a take-off has begun."""
         self._takeoff: RequestAnswered | HeartbeatReceived | None = None
         """Latest evidence that the takeoff has begun."""
         self._offboard_accepted: RequestAnswered | None = None

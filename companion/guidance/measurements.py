@@ -138,7 +138,6 @@ class RangingListener:
         self._lag_s = emitters.stamp_lag_s
         self._track = track
         self.waiting: list[RangingMeasurement] = []
-        """Measurements waiting for fusion."""
 
     def receive(self, measurement: RangingMeasurement) -> list[FusionReport]:
         """Queue a measurement without copies; of too many the oldest is dropped."""
@@ -157,10 +156,7 @@ class RangingListener:
         return [self._emitters.current.reject(RejectReason.TOO_MANY)]
 
     def fuse_due(self, now_s: float, own: PositionAccuracy | None = None) -> list[FusionReport]:
-        """Fuse all due measurements at once.
-
-        `own` is the accuracy of the vehicle position on the Earth; None leaves it unchanged.
-        """
+        """Fuse all due measurements; `own` is the position accuracy, None leaves it unchanged."""
         return [finish(self.fusion(Queued(each, now_s, own))) for each in self.take_due(now_s)]
 
     def take_due(self, now_s: float) -> list[RangingMeasurement]:

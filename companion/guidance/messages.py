@@ -279,10 +279,7 @@ class OffsetMessages:
     def messages_for(
         self, offset_m: float, noise: FilterParams, accepted: int, now_s: float
     ) -> list[Announce]:
-        """Return the texts that are due now.
-
-        A bound of 0 is left out: a calibrated radio's offset lies there.
-        """
+        """Return the texts due now; a bound of 0 is left out, where a calibrated offset lies."""
         low_m, high_m = noise.range_offset_min_m, noise.range_offset_max_m
         if low_m is None or high_m is None or accepted < MANY_FOR_OFFSET:
             return []

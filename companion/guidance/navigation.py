@@ -183,10 +183,7 @@ class FlightPlan:
         return [Announce(Severity.WARNING, text, Topic.CONTACT)]
 
     def _target_messages(self, now_s: float, estimate: TargetEstimate | None) -> list[Command]:
-        """Return a text when the estimate enters an area that is forbidden to the vehicle.
-
-        An estimate that crosses the fence repeatedly is announced every `REPEAT_AFTER_S` at most.
-        """
+        """Return a text when the estimate enters a forbidden area, not repeated too soon."""
         fence = self._guard.limits.fence
         if estimate is None or fence is None:
             return []

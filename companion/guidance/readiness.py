@@ -241,8 +241,7 @@ class Recollection:
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self.waiting: tuple[Belief, ...] = ()
-        """Kept estimates of all emitters that wait for their frame, the one searched for last at
-        the end."""
+        """Kept estimates that wait for their frame, the one searched for last at the end."""
         self._origin: LocalOrigin | None = None
         self._kept_at_s = 0.0
         """Time of the kept estimates, on this session's clock."""

@@ -67,8 +67,7 @@ class SettledRule:
         self._measuring_s = 0.0
         """Time between accepted measurements."""
         self._heard_s: float | None = None
-        """Time of the last accepted measurement; None if the vehicle held since then, or
-        measurements paused for long."""
+        """Time of the last accepted measurement; None since a hold, or a long pause."""
         self._mark: tuple[float, float] | None = None
         """Measuring time and R95 at the latest improvement of R95."""
 

@@ -35,12 +35,7 @@ from companion.search.searched_area import (
     SearchState,
     learnt_reach,
 )
-from companion.search.searched_flight import (
-    SearchAreaParams,
-    SearchedFlight,
-    StoredGrid,
-    statement,
-)
+from companion.search.searched_flight import SearchAreaParams, SearchedFlight, StoredGrid, statement
 
 LONGEST_GAP_S = 1.0
 """Longest pause between two control ticks that still counts as searched."""

@@ -93,11 +93,7 @@ MODE_EVENTS = (events.HeartbeatReceived, events.LandedStateChanged)
 
 
 class GuidanceSession:
-    """Guides one vehicle to one emitter after the other.
-
-    It `needs_origin` where setpoints are global. Without a `fence_plan` the guard keeps its own
-    fence.
-    """
+    """Guides one vehicle to one emitter after the other; it `needs_origin` for global setpoints."""
 
     def __init__(
         self,

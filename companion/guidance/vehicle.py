@@ -25,11 +25,7 @@ from companion.domain import (
 from companion.geometry.coordinates import LocalOrigin
 from companion.guard.gate import Motion
 from companion.guidance import events
-from companion.guidance.vehicle_track import (
-    PositionAccuracyWatch,
-    VehicleTrack,
-    is_plausible,
-)
+from companion.guidance.vehicle_track import PositionAccuracyWatch, VehicleTrack, is_plausible
 
 
 def mode_name(mode: FlightMode, autopilot: Autopilot, other: str = "") -> str:

@@ -49,7 +49,6 @@ class VehicleTrack:
         """Drop all states, because the autopilot restarted or moved its frame."""
         self._states: deque[VehicleState] = deque()
         self.latest: VehicleState | None = None
-        """The newest state."""
         self._attitudes: deque[tuple[float, Attitude]] = deque()
         self._distrusted_s = (math.inf, -math.inf)
 

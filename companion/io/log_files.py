@@ -163,8 +163,7 @@ class InputKind(IntEnum):
     RECALL = 6
     """Input whose data are the age, float64 seconds, and that process's memory, in MessagePack."""
     NOTE = 7
-    """Input whose data are the severity by name, a space, and the process's text to the
-    operator."""
+    """Input of a text to the operator: the severity's name, a space, and the text."""
 
 
 AlsoKeeps = Callable[[bytes, float], None]

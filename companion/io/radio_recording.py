@@ -198,10 +198,7 @@ def is_radio_recording(path: Path) -> bool:
 def read_radio_recording(
     path: Path, on_damage: OnDamage | None = None
 ) -> tuple[RecordingHeader, Iterator[Record]]:
-    """Return the header and an iterator of the records; a `ConfigError` names the faulty line.
-
-    With `on_damage` an invalid line is skipped and its number reported.
-    """
+    """Return header and records; a `ConfigError` names a bad line, which `on_damage` skips."""
     lines = _lines(path)
     number, line = next(lines, (1, b""))
     if not line:

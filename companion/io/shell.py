@@ -80,8 +80,7 @@ STALL_S = 0.2
 CATCH_UP_S = 0.1
 """Limit of wall-clock seconds for reading the links' backlog after a stall."""
 MIN_TIMER_S = 0.001
-"""Shortest wait, so that an endpoint whose next time is always past does not take the whole
-processor."""
+"""Shortest wait, so that an endpoint that is always due does not take the whole processor."""
 MAX_TIMER_S = 3600.0
 """The loop refuses timers of many days; waking up once an hour costs nothing."""
 
@@ -113,8 +112,7 @@ class GatheringSelector(selectors.DefaultSelector):
         super().__init__()
         self._stamped = stamped
         self._others: tuple[Collection[int], Callable[[float], object]] | None = None
-        """Descriptors that may wait, and a wait in milliseconds for all others; None once the
-        others changed."""
+        """Descriptors that may wait, and a wait, ms, for all others; None once these changed."""
 
     def register(
         self, fileobj: FileDescriptorLike, events: int, data: object = None

@@ -161,11 +161,9 @@ LAST_RETRY_S = 16.0
 LOOK_PERIOD_S = 0.2
 """Interval of checks while nothing is missing."""
 MISSED_PERIODS = 3.0
-"""Silence of a stream, in periods, after which it has stopped, and mean interval above which it is
-slow."""
+"""Silent periods after which a stream has stopped, and mean interval that makes it slow."""
 HEARTBEAT_LATE_S = 3.0
-"""Age above which a HEARTBEAT is requested by itself: its period is one second, and most autopilots
-do not change it."""
+"""Age above which a HEARTBEAT is requested: its period is one second on most autopilots."""
 HEARTBEAT_AGAIN_S = 0.25
 """Interval of those requests: where every other frame is lost, one in four is answered, and ten
 seconds after the last heartbeat control is in doubt."""
@@ -284,8 +282,7 @@ def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:
 
 
 STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
-"""Interval between two requests, if the stream came within the last second: messages in flight are
-no refusal."""
+"""Interval between two requests if the stream still comes: messages in flight are no refusal."""
 OFF_US = -1.0
 """Interval that stops a stream."""
 

@@ -69,7 +69,6 @@ class AutopilotBinding:
     peer: Address | None = None
     heard_s: float | None = None
     binds: int = 0
-    """Number of bindings so far."""
     problem: str | None = None
     """Reason why no vehicle may be controlled now; None if one may."""
     is_in_control: bool = False
@@ -78,7 +77,6 @@ class AutopilotBinding:
     unknown_senders: int = 0
     """Frames with the autopilot's ids from another address."""
     moves: int = 0
-    """Number of changes of the autopilot's address."""
     candidates: Candidates = field(default_factory=Candidates)
     _course: IdentityCourse = field(default_factory=IdentityCourse)
     _exchange: IdentityCourse = field(default_factory=IdentityCourse)

@@ -15,9 +15,7 @@ from companion.mav.endpoint import Address
 from companion.mav.flight_modes import autopilot_of, class_of
 
 VANISHED_S = 10.0
-"""Silence after which a candidate has vanished."""
 MOST_CANDIDATES = 8
-"""Limit of candidates that are kept."""
 
 Ids = tuple[int, int]
 

@@ -118,11 +118,9 @@ class CompanionEndpoint:
         self._noted_binding: tuple[int, str | None] = (0, None)
         """Number of bindings and problem of the binding, as reported to the session."""
         self.ticks = 0
-        """Number of control ticks."""
         self._texts = 0
         """Number of texts sent until the end of the last one."""
         self.next_tick_s = -math.inf
-        """Time of the next control tick."""
         self._woken_s = self._next_look_s = self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:

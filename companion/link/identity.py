@@ -36,8 +36,7 @@ from companion.mav.dialect import Message, mavlink
 WRAP_S = 2**32 / 1000.0
 """Period of `time_boot_ms`, 49.7 days."""
 AHEAD_S = 3.0
-"""Lead of a stamp above which its clock is another one, or slipped: no delay makes it
-early."""
+"""Lead of a stamp above which its clock is another one, or slipped: no delay does that."""
 LATE_S = 10.0
 """Longest delay on a link that also delivers promptly."""
 SLIP_S = 10.0
@@ -118,7 +117,6 @@ class Track:
     heard_s: float
     stamp_s: float
     count: int = 1
-    """Number of signs."""
     position_ned_m: PositionNed | None = None
     position_s: float = -math.inf
 
@@ -255,10 +253,7 @@ class IdentityCourse:
     def compare_beginning(
         self, other: IdentityCourse, sequence: int, sign: Sign | None, now_s: float
     ) -> None:
-        """Decide whether a course at another address continues this one without a gap.
-
-        Its first frame has the next sequence number, and its first position is near the last one.
-        """
+        """Decide if a course elsewhere continues this one: next sequence number, near position."""
         if other.is_continuation is not None:
             return
         is_first = other._sequence is None

@@ -342,10 +342,7 @@ class VehicleInbound:
         return self._origin_events(geodesy, now_s) if is_new else []
 
     def _home_events(self, now_s: float) -> list[Event]:
-        """Return home in the local frame; from latitude and longitude where the origin is known.
-
-        The message's own x, y, z are only used until then: not every autopilot fills them.
-        """
+        """Return home in the local frame: x, y, z until the origin is known, then latitude."""
         home = self._home
         if home is None:
             return []

@@ -64,8 +64,7 @@ class RadioSettings(Params, frozen=True):
     zero: Literal["refuse", "accept"] = "refuse"
     """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
     range_sigma_m: Positive | None = None
-    """Sigma where the radio reports none, and the lower limit of a reported one; null: the
-    estimation's."""
+    """Sigma where the radio reports none, and its lower limit; null: the estimation's."""
 
     power_offset_db: Signed = 0.0
     """Offset that is added to received powers: gains of antennas, or the level to which the radio
@@ -84,8 +83,7 @@ class RadioSettings(Params, frozen=True):
     quality_min: Share = 0.0
     """Minimum quality; a reading of lower quality is refused."""
     sigma_factors: tuple[tuple[Share, Positive], ...] = ()
-    """[quality, factor] pairs, ascending: from that quality on sigmas are multiplied by the
-    factor."""
+    """Ascending [quality, factor] pairs: from that quality on sigmas get the factor."""
 
     clock: Literal["device", "arrival"] = "device"
     """Clock of a reading's time, where the device has one."""
@@ -96,11 +94,9 @@ class RadioSettings(Params, frozen=True):
     max_age_s: Positive | None = None
     """Largest age of a reading; an older one is refused; null: by `AcceptanceParams`, 1 s."""
     rate_max_hz: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = RATE_MAX_HZ
-    """Limit of measurements per second of one emitter, because each costs milliseconds; null:
-    none."""
+    """Limit of measurements a second of an emitter, as each costs milliseconds; null: none."""
     stuck_after: Annotated[int, msgspec.Meta(ge=2)] | None = None
-    """Equal ranges in a row after which further ones are refused; null: only while the vehicle
-    moves."""
+    """Equal ranges in a row before more are refused; null: only while the vehicle moves."""
     poll_s: Annotated[float, msgspec.Meta(ge=0.02, le=60.0)] | None = None
     """Poll interval of a polled radio; null: that of its kind."""
     timeout_s: NonNegative = 5.0
@@ -128,11 +124,7 @@ class RadioSetup:
 
 
 class EmitterNames:
-    """Ids of emitters, by their names on the wire.
-
-    A name without an id gets one that depends only on the name, so that it is the same after a
-    restart and on every radio.
-    """
+    """Ids of emitters by their names on the wire; a name without one gets one by the name alone."""
 
     def __init__(self, settings: RadioSettings) -> None:
         self.news: list[str] = []
@@ -257,8 +249,7 @@ class LinkParams(Params, frozen=True):
     """Capacity of the slowest link to a ground station, bytes/s: 57,600 baud, the usual telemetry
     radio. Texts get one per cent of it."""
     signing_key_file: str | None = None
-    """MAVLink 2 signing with the key in this file; null: no signing. `--signing-key` has
-    precedence."""
+    """File of the key that signs MAVLink 2; null: no signing. `--signing-key` precedes."""
     unsigned_ranging: bool = False
     """True: with a key, `--ranging` links accept unsigned ranging messages of a radio that cannot
     sign; anything else that is unsigned is refused on every link."""

@@ -150,10 +150,7 @@ def local_setpoint(setpoint: PositionSetpoint, now_s: float, target: Ids) -> Mes
 def global_setpoint(
     setpoint: PositionSetpoint, origin: LocalOrigin, now_s: float, target: Ids
 ) -> Message:
-    """Return SET_POSITION_TARGET_GLOBAL_INT in frame GLOBAL_INT (5, AMSL).
-
-    Not frame 6: PX4 1.15 misplaces relative altitudes by twice the distance of origin and home.
-    """
+    """Return SET_POSITION_TARGET_GLOBAL_INT in frame 5 (AMSL); PX4 1.15 misplaces frame 6."""
     mask, rest = _checked_fields(setpoint)
     latitude_deg, longitude_deg, altitude_m = origin.geodetic_from_enu(setpoint.position_enu_m)
     return mavlink.MAVLink_set_position_target_global_int_message(

@@ -34,8 +34,7 @@ KEPT = 1024
 FOREIGN_FRAMES = 3
 """Foreign frames that prove another companion."""
 FOREIGN_SPAN_S = 1.0
-"""Minimum span of them; fewer or faster ones may be left over from an earlier run, on a slow way
-back."""
+"""Minimum span of them; faster ones may be left over from an earlier run, on a slow way back."""
 
 
 class OwnFrames:

@@ -189,10 +189,7 @@ def icon_message(
 
 
 def _with_floats_that_fit(message: AnyMessage) -> AnyMessage:
-    """Return the message with its floats clipped to the range of float32.
-
-    A baseline filter that diverges may exceed 3.4e38, which cannot be packed.
-    """
+    """Return the message with floats clipped to float32: a diverging filter exceeds 3.4e38."""
     for name, kind in zip(message.fieldnames, message.fieldtypes, strict=True):
         if kind == "float" and abs(value := getattr(message, name)) > FLOAT32_MAX:
             setattr(message, name, math.copysign(FLOAT32_MAX, value))

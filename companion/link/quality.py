@@ -254,7 +254,6 @@ class LinkAlarms:
 
 
 RADIO_LOOK_S = 0.5
-"""Interval of checks."""
 QUIET_S = 2.0
 """Silence of a radio above which it is shown."""
 RATE_WINDOW_S = 5.0
@@ -272,7 +271,6 @@ class RadioStatus:
 
     name: str
     rate_hz: float
-    """Measurements per second."""
     silent_s: float | None
     """Time since its last byte; None: none yet."""
     age_s: float | None

@@ -13,10 +13,7 @@ import math
 import re
 from collections import Counter
 
-from companion.domain import (
-    POWER_LIMITS_DBM,
-    RangingMeasurement,
-)
+from companion.domain import POWER_LIMITS_DBM, RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
@@ -102,14 +99,11 @@ class RadioStage:
         self.received_s: float | None = None
         """Arrival time of the latest bytes."""
         self.lost = 0
-        """Number of losses of the line."""
         self.measured = 0
-        """Number of measurements so far."""
         self.age_s: float | None = None
         """Age of the latest measurement on arrival."""
         self.refused: Counter[str] = Counter()
         self.newest: dict[int, RangingMeasurement] = {}
-        """Latest measurement of each emitter."""
         self.unlisted: dict[str, float | None] = {}
         """Names on the wire that are refused because they are not listed, and their power."""
         self._mount_rad = math.radians(settings.bearing_mount_deg)

@@ -31,13 +31,11 @@ UINT32_MAX = 0xFFFFFFFF
 MAX_BEARING_RAD = math.pi + 1e-6
 """Half a turn plus the rounding of 32 bits."""
 MAX_LINK_DELAY_S = 0.5
-"""Longest constant delay of a slow link by which a radio's clock seems later than the
-autopilot's."""
+"""Longest constant delay by which a radio's clock seems later than the autopilot's."""
 MAX_SENDERS = 16
 """Limit of ranging senders of a link whose clocks are kept."""
 RATE_MAX_HZ = 20.0
-"""Measurements per second of one emitter, as for radios with their native formats
-(`rate_max_hz`)."""
+"""Measurements a second of an emitter, as for radios with native formats (`rate_max_hz`)."""
 MAX_EMITTERS = 16
 """Emitters of one sender with separate rates: as many as `emitters.most` allows."""
 MANY_LEFT_OUT = 10

@@ -31,8 +31,7 @@ MINUTE_S = 60.0
 SHARE_OF_DOWNLINK = 0.01
 """Share of the downlink's capacity for texts; telemetry needs the rest."""
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
-"""Figures that do not distinguish causes; the number of a system or an emitter, and one in a name,
-do."""
+"""Figures that distinguish no causes: not numbers of systems or emitters, nor those in names."""
 WAITED_FOR = re.compile(r"(?<=\bwaiting for ).*")
 """List of missing inputs, which shrinks after a start: one cause, whatever it contains."""
 

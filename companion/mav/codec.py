@@ -81,10 +81,7 @@ class FrameSplitter:
         self._unknown: list[bytes] = []
 
     def split(self, data: bytes, *, is_datagram: bool) -> list[bytes]:
-        """Return the frames completed by `data`; an unfinished one at a datagram's end is junk.
-
-        Most datagrams are one good frame of MAVLink 2 without unknown flags: they are done first.
-        """
+        """Return the frames completed by `data`; plain frames of MAVLink 2 are done first."""
         size = len(data)
         if is_datagram and size >= SHORTEST_V2 and data[0] == MAGIC_V2 and not self._pending:
             crc_extra = self._crc_extra_by_id.get(data[7] | data[8] << 8 | data[9] << 16)

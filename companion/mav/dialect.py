@@ -154,10 +154,7 @@ class MAVLink_radio_ranging_message(
         "power": "dBm",
     },
 ):
-    """Response of a radio emitter: slant range, bearing, received power; NaN: not measured.
-
-    The power is an extension: 0 from a sender that does not have it.
-    """
+    """Response of an emitter: slant range, bearing, power (an extension; 0: none); NaN: none."""
 
     time_usec: Uint64
     range: Float
@@ -199,10 +196,7 @@ class MAVLink_target_estimate_message(
         "bearing_offset": "rad",
     },
 ):
-    """Estimated position of an emitter with its covariance; NaN: unknown.
-
-    The last three are extensions: 0 from a sender that does not have them.
-    """
+    """Estimated position with covariance; NaN: unknown; the last three are extensions, else 0."""
 
     time_boot_ms: Uint32
     lat: Int32

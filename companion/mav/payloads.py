@@ -155,7 +155,6 @@ def boot_ms_of(frame: bytes) -> int | None:
 NAME_LENGTH = 16
 """Characters of a parameter's name; a NUL follows only a shorter one."""
 VALUE_LENGTH = 4
-"""Bytes of a value."""
 CAST_ALLOWANCE = 0.01
 """Offset, away from zero, that ArduPilot adds before it truncates a float to an integer."""
 

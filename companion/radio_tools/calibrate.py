@@ -120,7 +120,6 @@ class _Found:
     poses: list[TimedPose] = field(default_factory=list)
     measurements: dict[tuple[str, int], list[RangingMeasurement]] = field(default_factory=dict)
     names: dict[int, str] = field(default_factory=dict)
-    """Names of the emitters in a walk."""
 
     def add(self, radio: str, measurement: RangingMeasurement) -> None:
         """Add a measurement."""
@@ -250,8 +249,7 @@ LISTEN_S = 20.0
 FEWEST = 5
 """Minimum number of ranges for a median; a cell has one for each attach of the phone."""
 MOST_BESIDE_M = 20.0
-"""Longest distance to the emitter; farther away a reflection may be in the median: that is a line
-test."""
+"""Longest distance to the emitter; farther away a reflection may be in the median."""
 SIGMA_OF_MAD = 1.4826
 MOST_SHOWN = 8
 """Emitters that are named to choose from."""
@@ -264,7 +262,6 @@ class _Listener(OneShotEndpoint):
         super().__init__(end_s)
         self.stage = RadioStage(setup)
         self._ranges_m: dict[int, list[float]] = {}
-        """Ranges of each emitter."""
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
         """Decode received bytes."""

@@ -13,8 +13,7 @@ PRIOR_WIDTHS = 2.5
 """Width of a prior, in half intervals."""
 LEAST_PRIOR_M = 0.1
 LEAST_PRIOR_DEG = 3.0
-"""Minimum prior of the bearing offset: a compass is not as good elsewhere as where it was
-calibrated."""
+"""Minimum prior of the bearing offset: a compass is worse elsewhere than where calibrated."""
 WHOLE_DEG = 359.0
 
 

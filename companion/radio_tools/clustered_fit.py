@@ -86,11 +86,7 @@ def sigma_figure(sigma: float, freedom: float) -> Figure:
 
 
 def clusters_of(points_m: Matrix, radius_m: float) -> Labels:
-    """Return numbers from 0, (n,), of the clusters that points (n, 3) belong to.
-
-    A point farther than the radius from every cluster so far starts one; then each goes to the
-    nearest, so that the way back is divided like the way out.
-    """
+    """Return numbers from 0, (n,), of clusters of points (n, 3), by radius, then by nearest."""
     centres: list[Vector] = []
     last = points_m[:0].sum(axis=0) + math.inf
     for point in points_m:
@@ -156,10 +152,7 @@ def solved(rows: Matrix, values: Vector, weights: Vector) -> Vector:
 
 
 def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) -> LinearFit:
-    """Fit values (n,) by rows (n, p); the covariance leaves out one cluster after the other.
-
-    Parameters that the rows do not determine have infinite variance.
-    """
+    """Fit values (n,) by rows (n, p), jackknifed by clusters; undetermined: infinite variance."""
     parameters = rows.shape[1]
     count = int(labels.max(initial=-1)) + 1
     scale = np.sqrt(np.maximum(np.average(rows**2, axis=0, weights=weights), 1e-300))

@@ -30,8 +30,7 @@ BAUDS = (115_200, 921_600, 57_600, 9_600)
 FEWEST = 2
 """Minimum number of readings: one may be chance, and slow radios give one or two in the time."""
 HEARD_SHARES = (3.0, 1.5, 0.75, 0.75)
-"""Share of the time for each of those speeds: slow radios are text at the first, the second is
-fast."""
+"""Share of the time for each of those speeds: slow radios are text, the second is fast."""
 ASKED_SHARE = 1.0
 """Share of the time for each radio that is polled."""
 PLAYED = "?play=10"
@@ -41,8 +40,7 @@ GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 FEWEST_POWERS = 3
 """Minimum number of received powers: fewer may be by-products of a console that prints ranges."""
 FEWEST_FRAMES_SHARE = 0.5
-"""Minimum share of the bytes in binary formats, whose short frames without a checksum occur in
-noise."""
+"""Minimum share of bytes in binary formats: short frames without a checksum occur in noise."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)
 """Radios without a format of their own."""

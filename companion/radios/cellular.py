@@ -56,8 +56,7 @@ class NrOptions(CellOptions, frozen=True):
     """Properties of the station's carrier."""
 
     numerology: Numerology | None = None
-    """Numerology of the carrier: 0 is 15 kHz, 1 is 30 kHz, and so on; null: as reported in the log,
-    if it is."""
+    """Numerology of the carrier: 0 is 15 kHz, 1 is 30 kHz, and so on; null: by the log."""
 
 
 class SrsRanOptions(NrOptions, frozen=True):
@@ -236,8 +235,7 @@ class OaiDecoder(_Cell):
     )
     _ANSWERS = "Generating RA-Msg2 DCI"
     AGREEMENT = 0.05
-    """Tolerance in steps: the log's own value of it is 0.1 % off, and steps of numerologies differ
-    by 2."""
+    """Tolerance in steps: the log's own value is 0.1 % off, steps of numerologies differ by 2."""
 
     def begin(self) -> None:
         """Begin without the format of the log, because another run may follow."""

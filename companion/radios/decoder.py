@@ -93,7 +93,6 @@ class RadioReading:
     elevation_rad: float | None = None
     elevation_sigma_rad: float | None = None
     power_dbm: float | None = None
-    """Received power, dBm."""
     frame: AngleFrame = AngleFrame.DEVICE
     quality: float | None = None
     """Quality of the reading, 0 (worst) to 1 (best)."""
@@ -263,11 +262,7 @@ class LineDecoder(RadioDecoder):
 
 
 class FrameDecoder(RadioDecoder):
-    """Decoder of binary frames that finds each whole one.
-
-    If length or checksum show that bytes are not a frame, only the first byte is skipped, because a
-    frame may begin at the next one.
-    """
+    """Decoder of binary frames; of bytes that are none only the first is skipped."""
 
     start: Pattern[bytes]
     """Pattern of a frame's beginning, also when the end of the data cuts it off."""
@@ -279,10 +274,7 @@ class FrameDecoder(RadioDecoder):
 
     @abstractmethod
     def size_at(self, data: bytes, at: int) -> int | None:
-        """Return the size of the frame that begins there; 0: there is none, None: more is needed.
-
-        The result must not change with what follows, and not exceed `MOST_KEPT_BYTES`.
-        """
+        """Return the size of the frame there, fixed whatever follows; 0: none, None: needs more."""
 
     @abstractmethod
     def read_frame(self, frame: bytes) -> list[RadioReading] | None:
@@ -325,10 +317,7 @@ BUILT_IN: Mapping[str, Mapping[str, Any]] = msgspec.yaml.decode(
 
 
 def known_radios() -> dict[str, str]:
-    """Return every name that can be chosen, and its origin: `built in`, or a package's name.
-
-    A broken plugin is listed, too; `radio_kind` reports the error.
-    """
+    """Return every radio name and its origin, `built in` or a package, broken ones too."""
     plugins = {point.name: _package(point) for point in entry_points(group=GROUP)}
     return {name: "built in" for name in BUILT_IN} | {
         name: package for name, package in sorted(plugins.items()) if name not in BUILT_IN
@@ -336,10 +325,7 @@ def known_radios() -> dict[str, str]:
 
 
 def radio_kind(name: str) -> RadioKind:
-    """Return the radio of a name; a built-in one takes precedence over a plugin's.
-
-    Raises a `ConfigError` for an unknown name, and for a plugin that is broken.
-    """
+    """Return the radio of a name, built-in first; `ConfigError`: unknown, or a broken plugin."""
     if name in BUILT_IN:
         return _built_in(name)
     points = list(entry_points(group=GROUP, name=name))

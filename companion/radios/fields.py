@@ -32,7 +32,6 @@ class Unit:
     """Quantity and unit of a name."""
 
     attribute: str
-    """Attribute of the reading."""
     factor: float = 1.0
     """Factor from the quantity to the reading's unit."""
 

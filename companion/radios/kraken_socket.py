@@ -21,12 +21,7 @@ from typing import Annotated
 import msgspec
 
 from companion.radios.decoder import RadioReading
-from companion.radios.kraken import (
-    FIRST_EPOCH_MS,
-    KrakenDecoder,
-    KrakenOptions,
-    Result,
-)
+from companion.radios.kraken import FIRST_EPOCH_MS, KrakenDecoder, KrakenOptions, Result
 
 TEXT, BINARY = 0x81, 0x82
 """First byte of a whole frame of RFC 6455 from a server."""

@@ -50,8 +50,7 @@ class NlinkOptions(Params, frozen=True):
     """Excess of the received power over the first path above which it is not in line of sight;
     null: not judged."""
     behind_fp_dbm: float | None = None
-    """Power of the first path below which the signal is from behind the antennas, and its angle is
-    dropped."""
+    """First path's power below which a signal is from behind, and its angle dropped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,8 +39,7 @@ from companion.radios.wifi_ftm import MAC, complain_of_unsigned
 
 LENGTHS = ("mm", "cm", "m", "km", "ft")
 SUCCESSES = ("", "0", "success", "status_success", "ok")
-"""Spellings of a successful status: Android's number, the name of its constant, and those of
-apps."""
+"""Spellings of success: Android's number, the name of its constant, and those of apps."""
 NO_NAME = "row without its emitter's name"
 DATES = {10: "s", 13: "ms", 16: "us", 19: "ns"}
 """Digits of a time since 1970 in this century to its unit; a time since boot has fewer."""

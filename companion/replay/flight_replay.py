@@ -44,7 +44,6 @@ class FlightReplay:
     """True if the inputs were recorded; otherwise ticks are guessed from the tlog."""
     is_same_configuration: bool
     is_course_whole: bool = True
-    """True if the recorded course is complete."""
 
     @property
     def is_identical(self) -> bool:

@@ -156,7 +156,6 @@ class FlightRecording:
     whole_inputs: int | None = None
     """Number of inputs before the first that is damaged or missing; None if none is."""
     is_course_whole: bool = True
-    """True if the recorded course is complete."""
     damage: tuple[str, ...] = ()
     """Description of the unreadable parts, a line for each file."""
 

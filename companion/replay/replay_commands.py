@@ -143,8 +143,7 @@ class RadioReplay:
     """Result of a recording."""
 
     radios: list[str]
-    """Lines of the report: one for each radio, and one for each emitter if positions are
-    unknown."""
+    """Lines of the report: one for each radio, and for each emitter without positions."""
     targets: list[TargetResult] = field(default_factory=list)
     """Results of each target; empty without any position."""
 

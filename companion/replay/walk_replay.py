@@ -48,8 +48,7 @@ SEPARATORS = ",;\t"
 """A spreadsheet writes semicolons where the comma separates decimals."""
 PROGRESS_ROWS = 2000
 STOREY_M = 3.0
-"""Standard deviation of a target's height that is not configured: it lies a storey higher or
-lower."""
+"""Standard deviation of an unconfigured target height: a storey higher or lower."""
 FARTHEST_M = 4e7
 """The Earth is 40,000 km around."""
 ESTIMATED = (

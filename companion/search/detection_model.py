@@ -254,8 +254,7 @@ class MissTable:
 
 
 POISSON_TERMS = 120
-"""Terms of the series of Rice's distribution: up to 15 dB, a mean of 32, the rest is below
-1e-12."""
+"""Terms of Rice's series: up to 15 dB, a mean of 32, the rest is below 1e-12."""
 
 
 def received_share(margins_db: Floats, rice_k_db: float) -> Floats:

@@ -295,8 +295,7 @@ class SearchState:
 
     grid: SearchGrid
     pod: Floats
-    """Probability of detection, (cells,): had the emitter been in the cell, it would have been
-    heard."""
+    """Probability of detection, (cells,): had the emitter been there, it would be heard."""
 
     @property
     def pos(self) -> float:

@@ -199,8 +199,7 @@ class SearchAreaParams(Params, frozen=True):
     """The area, the radio's range, and the end of a search without contact."""
 
     detection: DetectionParams | None = None
-    """Radio link of the search; null: the radio's range is unknown, and no probability is
-    stated."""
+    """Radio link of the search; null: the range is unknown, no probability is stated."""
     area_file: str | None = None
     """Possible locations of the emitter, relative to this file: GeoJSON or KML polygons, or an
     ASCII grid or GeoTIFF, in degrees; null: anywhere in the fence."""

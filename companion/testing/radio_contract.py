@@ -55,7 +55,6 @@ class ContractFigures:
     """Figures measured by the check."""
 
     readings: int
-    """Number of readings in the stream."""
     slowest_noise_s: float
     """Processor time of the slowest kind of noise."""
     most_kept_bytes: int

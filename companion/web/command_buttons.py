@@ -44,8 +44,7 @@ class CommandButtons:
         """Flight time of the moment on the page."""
         self._buttons: dict[str, tuple[ui.button, ui.label]] = {}
         self._awaited: dict[str, tuple[float, float, bool]] = {}
-        """Flight time and monotonic time of each press by label, and True if it is reported
-        missing."""
+        """Flight and monotonic time of each press by label, and True if reported missing."""
         for name, label, colour, question in BUTTONS:
             dialog = _confirmation(question, label, colour, partial(self._send, name, label))
             with ui.column().classes("command gap-0 items-center"):

@@ -111,8 +111,7 @@ class Collector(FlightView):
 log = logging.getLogger("companion.web")
 
 PICTURE_PERIOD_S = 0.25
-"""Period of the pictures in flight time; faster than an eye needs, slower than a Raspberry Pi
-notices."""
+"""Period of pictures in flight time: faster than an eye needs, light on a Raspberry Pi."""
 MAX_LINE = 1_000_000
 """Longest input without a line end; a longer one does not come from a button."""
 END_S = 2.0
@@ -392,10 +391,7 @@ class WebView(Collector):
         return time.time() if self._replayed is None else self._replayed.began_unix_s + now_s
 
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
-        """Return located emitters and the origin, from which the page makes hand-offs on request.
-
-        Their geodetic positions would cost the flight about ten milliseconds each.
-        """
+        """Return located emitters and the origin; hand-offs are made on request (10 ms each)."""
         origin = endpoint.session.vehicle.origin
         if origin is None:
             return []

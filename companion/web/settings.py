@@ -64,11 +64,7 @@ class Access:
         return self.has_token(given)
 
     def is_host_ours(self, host_header: str) -> bool:
-        """Return True if a request's Host names this page.
-
-        On loopback only local names count; beyond, any address does, because a foreign name that
-        points at us still lacks the token.
-        """
+        """Return True if Host names this page: locally on loopback, any address beyond it."""
         if not is_loopback(self.host):
             return True
         names = {name.strip("[]") for name in LOCAL_NAMES}

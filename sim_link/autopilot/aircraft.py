@@ -106,10 +106,7 @@ class Area:
 
 
 class Geofence:
-    """Areas that must or must not be flown in.
-
-    Several inclusions together are one: inside any of them is inside (PX4 and ArduPilot alike).
-    """
+    """Areas to fly in, or not: inside any inclusion is inside (PX4 and ArduPilot alike)."""
 
     def __init__(self, areas: Sequence[Area] = ()) -> None:
         self._inclusions = [area for area in areas if area.is_inclusion]
@@ -194,8 +191,7 @@ class Aircraft:
         self.estimator.step(0.0, self.body.position_enu_m, 0.0)
         error = self.estimator.error
         self.motion: Kinematics = self.body if error is None else EstimatedMotion(self.body, error)
-        """Motion that the autopilot uses for control: the estimated one if there is a navigation
-        error."""
+        """Motion used for control: the estimated one if there is a navigation error."""
         east, north, _ = self.motion.position_enu_m
         self.home_enu_m: PositionEnu = (east, north, self.motion.ground_up_m)
         """Launch-and-return point, as estimated."""

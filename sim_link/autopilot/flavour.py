@@ -156,8 +156,7 @@ class Firmware(NamedTuple):
     """Index of the first mission item that is flown: 1 where item 0 is home."""
     home_orientation: tuple[float, float, float, float]
     answers_for_others: bool
-    """True if it obeys commands to components of its system that were never heard, and answers as
-    itself."""
+    """True if it obeys commands to unheard components of its system, as itself."""
     dialect: Container[int] | None = None
     """Ids of the messages that it knows; it does not pass on others. None if it passes on all."""
     gives_plan_ids: bool = False

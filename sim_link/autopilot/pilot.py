@@ -30,8 +30,7 @@ SLOW_DESCENT_BELOW_M = 5.0
 REACHED_M = 0.2
 HOME_REACHED_M = 0.5
 CLIMBED_M = 1.0
-"""Distance below its cruise height at which RETURN may start, or to which it may sink on the way
-home."""
+"""Distance below its cruise height at which RETURN may start, or that it may sink."""
 STEP_S = 0.02
 
 

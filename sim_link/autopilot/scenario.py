@@ -78,8 +78,7 @@ class AutopilotParams(Params, frozen=True):
     """Delay of disarming after a landing (PX4 COM_DISARM_LAND); ArduPilot disarms a second after
     LAND and RTL ended."""
     streams: Literal["all", "asked"] = "all"
-    """Streams that PX4 sends without a request: its onboard link's, or HEARTBEAT (a link in mode
-    Custom)."""
+    """Streams that PX4 sends unasked: its onboard link's, or HEARTBEAT (mode Custom)."""
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     """Defaults of the autopilot's parameters that differ from its own, by name."""
 

@@ -54,7 +54,6 @@ class FlavourParts(NamedTuple):
     kind: type[AutopilotFlavour]
     parameters: Callable[[Scenario], ParameterStore]
     handlers: Mapping[int, Handler]
-    """Handlers by MAV_CMD."""
 
 
 FLAVOURS: dict[FlavourName, FlavourParts] = {

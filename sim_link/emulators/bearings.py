@@ -107,7 +107,6 @@ class Kraken(Emulator):
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._found: dict[int, KrakenDirection] = {}
-        """Directions by frequency."""
 
     def encode(self, asked: Round) -> bytes:
         """Return the whole table."""
@@ -275,7 +274,6 @@ class KrakenSocket(Kraken):
     def __init__(self, clock_s: float, rng: np.random.Generator) -> None:
         super().__init__(clock_s, rng)
         self._spectra: dict[int, Spectrum] = {}
-        """Spectra by frequency."""
 
     def encode(self, asked: Round) -> bytes:
         """Return all channels, new or not."""

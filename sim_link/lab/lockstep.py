@@ -367,10 +367,7 @@ COMPANION_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
 
 class Operator:
-    """Ground station with a separate link to the vehicle, which no fault affects.
-
-    It signs, from a Unix time at the start of the flight on, where the vehicle requires that.
-    """
+    """Ground station on a link to the vehicle without faults, signed where required."""
 
     def __init__(
         self, flight: Flight, signing: LinkSigning | None = None, started_unix_s: float = 0.0

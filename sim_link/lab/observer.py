@@ -60,8 +60,7 @@ class Frame:
     is_genuine: bool = True
     """True if it came from the other end of the wire, damaged or not, and not from an attacker."""
     is_intact: bool = False
-    """True if it is bit by bit as it was sent; otherwise only decoding shows whether it is
-    valid."""
+    """True if it is bit by bit as it was sent; otherwise decoding shows if it is valid."""
     peer: Address | None = None
     """Address that a frame to the companion came from."""
     _message: object = field(default=_UNREAD, repr=False)

@@ -52,8 +52,7 @@ GRACE_S = 10.0
 CONNECT_S = 3.0
 FIRST_WORKER_S = 5.0
 FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
-"""Greeting of a dask scheduler, the number of its handshake's frames, and the largest such
-number."""
+"""Greeting of a dask scheduler: the number of its handshake's frames, and the largest."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that are 1 in processes when there is one per core."""
 

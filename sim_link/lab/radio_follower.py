@@ -113,7 +113,6 @@ class RadioFollower(OneShotEndpoint):
         self._attitude = LEVEL
         self._attitude_heard_s = -math.inf
         self._late: deque[Round] = deque()
-        """Rounds that are still to be sent."""
         self._wanted = tuple(emitters)
         self._emitters: tuple[Emitter, ...] = ()
         self._set_emitters([each for each in emitters if isinstance(each, Emitter)])

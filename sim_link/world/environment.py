@@ -58,8 +58,7 @@ class LossParams(Params, frozen=True):
     """Probability that a packet is received; theory in `field_radio`."""
 
     half_range_m: Positive = 150.0
-    """Range at which half of the packets are lost, in the line of sight and abreast of the
-    antenna."""
+    """Range at which half of the packets are lost, in sight and abreast of the antenna."""
     exponent: Positive = 2.0
     """Exponent of the log-distance path loss: 2 in the open, 3 to 4 through rubble."""
     wall_db: NonNegative = 10.0
@@ -318,8 +317,5 @@ class Environment:
         self._corners = np.array(corners, dtype=np.float64).reshape(-1, 2)
 
     def around(self, emitter_enu_m: PositionEnu) -> Surroundings:
-        """Return an emitter in it.
-
-        Computes the paths from all corners to it, so keep the result.
-        """
+        """Return an emitter in it, with the paths from all corners: keep the result."""
         return line_of_sight.surroundings_of(emitter_enu_m, self.edges, self._corners)

@@ -190,10 +190,7 @@ def ways_to(
 def way_around(
     e: float, n: float, surroundings: Surroundings, lets_out: Flags
 ) -> tuple[float, int]:
-    """Return the shortest way in the plane, metres (infinite: none); its first corner, or -1.
-
-    `lets_out` (k,) are walls of the obstacles that either end is inside of.
-    """
+    """Return the shortest way in the plane, m, infinite: none; and its first corner, or -1."""
     target_e, target_n, corners = surroundings.east_m, surroundings.north_m, surroundings.corners
     edges = surroundings.edges
     if not is_cut(target_e, target_n, e, n, edges, lets_out):

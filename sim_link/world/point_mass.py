@@ -78,7 +78,6 @@ class MulticopterParams(Params, frozen=True):
     """Limits and response of the multicopter."""
 
     max_speed_mps: Speed = 10.0
-    """Largest horizontal speed."""
     max_climb_mps: Speed = 3.0
     max_descent_mps: Speed = 1.5
     landing_speed_mps: Speed = 0.7

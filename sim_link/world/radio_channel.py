@@ -190,8 +190,7 @@ class AntennaModelParams(Params, frozen=True):
     field_of_view_deg: Annotated[float, msgspec.Meta(gt=0.0, le=360.0)] | None = None
     """Full cone about boresight beyond which no direction is measured; None: everywhere."""
     folds: bool = True
-    """True if a line or two-axis array reports directions from behind; otherwise it measures none
-    there."""
+    """True if an array reports directions from behind; otherwise it measures none there."""
 
 
 class Printed(NamedTuple):

@@ -166,8 +166,7 @@ class _Condition:
 
 
 DEAD_RECKONING_S = 10.0
-"""Longest use of a position without GNSS: PX4 EKF2_NOAID_TOUT 5 s, ArduPilot EKF3
-posRetryTimeUseVel_ms 10 s."""
+"""Longest use of a position without GNSS: EKF2_NOAID_TOUT 5 s, posRetryTimeUseVel_ms 10 s."""
 VERDICT_S = 3.0
 """Longest age of a verdict of the estimator."""
 RECEIVER_S = 5.0
@@ -255,8 +254,7 @@ class HealthWatch(Watch):
 
 
 IDLE_THROTTLE = 0.15
-"""Highest throttle of an autopilot on the ground: ArduPilot MOT_SPIN_MIN 0.15, PX4 MPC_THR_MIN
-0.12."""
+"""Highest throttle on the ground: ArduPilot MOT_SPIN_MIN 0.15, PX4 MPC_THR_MIN 0.12."""
 THROTTLE_S = 2.0
 """Longest age of a throttle report."""
 

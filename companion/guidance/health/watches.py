@@ -45,8 +45,7 @@ class InputWatch(Watch):
     def __init__(self, context: SessionContext) -> None:
         self._context = context
         self._lost: Finding | None = None
-        """Finding for link, mode, position or home that is missing, or was within the last
-        second."""
+        """Finding for a missing link, mode, position or home, also of the last second."""
         self._lost_s = 0.0
         self._back_s: float | None = None
         self._agreed = 0
@@ -97,10 +96,7 @@ class InputWatch(Watch):
         return math.hypot(estimate.r95_m / R95_OF_SIGMA, drift_m)
 
     def speed_share(self, now_s: float) -> float:
-        """Return the share of the speed limit for the age of the ranging: less as sigma grows.
-
-        It is 1 while a pattern is searched, which uses no estimate.
-        """
+        """Return the speed share for the age of the ranging, less as sigma grows; 1 in a search."""
         context = self._context
         estimate, heard_s = context.estimate, context.emitters.current.last_accepted_s
         if estimate is None or heard_s is None:

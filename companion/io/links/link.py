@@ -61,8 +61,7 @@ class Link(ABC):
         self.signals_loss = False
         """True if an empty piece of the stream means that its other end is gone."""
         self.expects_mavlink = False
-        """True: a TCP connection without a MAVLink frame for `SILENT_S` is closed, because its peer
-        is dead or sends no HEARTBEATs."""
+        """True: a TCP connection without a MAVLink frame for `SILENT_S` is closed as dead."""
         self._received = received
         self._is_lost = False
 

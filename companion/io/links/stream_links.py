@@ -129,10 +129,7 @@ class TcpServerLink(TcpListener, StreamLink):
 
 
 class TcpFanOutLink(TcpListener):
-    """TCP port for 16 clients; a chunk without a peer goes to all.
-
-    When all slots are taken, a new client replaces the oldest one that never sent MAVLink.
-    """
+    """TCP port for 16 clients; a new one takes the oldest slot that never sent MAVLink."""
 
     def __init__(self, host: str, port: int, index: int, received: Received) -> None:
         super().__init__(host, port, index, received)

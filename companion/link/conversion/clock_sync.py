@@ -31,7 +31,6 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.payloads import TargetedTimesync
 
 FIRST_PERIOD_S = 0.1
-"""Interval of the first requests."""
 FIRST_EXCHANGES = 10
 """Number of quick requests, to know the offset within a second."""
 PERIOD_S = 0.5
@@ -130,7 +129,6 @@ class OffsetFilter:
         self._offset_var, self._covar = sigma_s**2, 0.0
         self._rate_var: float = CRYSTAL**2 if before is None else before._rate_var
         self.max_rate = MAX_RATE
-        """Limit of the rate."""
         self._surprise_s = 0.0
         """Innovation of the exchange before, if surprising."""
 
@@ -253,7 +251,6 @@ class ClockSync:
         self.resets = 0
         self._open: deque[int] = deque(maxlen=MAX_OPEN)
         self.next_s = 0.0
-        """Time of the next request."""
         self._round_trips: deque[tuple[float, float]] = deque(maxlen=MAX_ROUND_TRIPS)
         """Times of answers and their round trips, seconds."""
         self.round_trip_s: float | None = None

@@ -320,8 +320,7 @@ class VehicleClock:
         self._is_same_clock = False
         """True if the exchange was once of the clock that stamps."""
         self._delay_s = 0.0
-        """Shortest delay of a stamp when both last agreed; negative where answers are dated
-        back."""
+        """Shortest delay when both last agreed; negative where answers are dated back."""
         self._apart_since_s: float | None = None
         self.wild_rate: Rate | None = None
         """Clock rate from the time exchange if it exceeds `MAX_RATE`, else None."""

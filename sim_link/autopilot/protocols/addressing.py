@@ -48,8 +48,7 @@ class LinkSetup(NamedTuple):
 
     mode: LinkMode = "onboard"
     has_one_peer: bool = False
-    """True if only the first sender is answered, as on a UDP port of PX4; otherwise all share
-    it."""
+    """True if only the first sender is answered, as on PX4's UDP; otherwise all."""
 
 
 class Channel(NamedTuple):

@@ -271,10 +271,7 @@ BITS_PER_BYTE = 10
 
 
 class StampClock:
-    """The vehicle's own clock: it stamps all messages, and answers TIMESYNC.
-
-    Physics and streams go by true time; only reported times go by this.
-    """
+    """The vehicle's own clock, for stamps and TIMESYNC; physics and streams go by true time."""
 
     def __init__(self) -> None:
         self._rates: list[tuple[float, float]] = []

@@ -111,8 +111,7 @@ MAX_COMPONENTS = 256
 MAX_CHANNELS = 8
 """Maximum number of channels of one component; a component that changes ports drops its oldest."""
 REBOOT_BACKWARD_MS = 1000
-"""Step back of a time since boot above which its sender restarted; less is a frame that was
-overtaken."""
+"""Step back of a time since boot that means a restart; less is a frame overtaken."""
 WRAP_MS = 2**32
 MAX_WRAP_GAP_MS = 60_000
 """Longest distance from a wrap of the counter, after 49.7 days, at which a step back is the wrap
@@ -196,8 +195,7 @@ class LinkSecurity(NamedTuple):
     signing: Signing | None = None
     """Signing with its key; None: neither checks nor signs, until a client sets a key up."""
     trusted_links: frozenset[int] = frozenset()
-    """Links without other listeners (a wire): unsigned frames are welcome, and keys may be set
-    up."""
+    """Links without listeners (a wire): unsigned frames are welcome, keys may be set up."""
     setup_links: frozenset[int] = frozenset()
     """Keys may be set up over these, too (loopback); then they need signatures like any other."""
     started_unix_s: float = 0.0

@@ -143,10 +143,7 @@ PlanEvent = PlanChanged | CurrentChosen
 
 
 class PlanStore:
-    """Plans stored in a vehicle: mission, fence and rally points.
-
-    `home` is item 0 as ArduPilot shows it, whatever was uploaded there; None if there is none.
-    """
+    """Plans stored in a vehicle; `home` is ArduPilot's item 0, whatever was uploaded; or None."""
 
     def __init__(self, home: Callable[[], PlanItem] | None = None) -> None:
         self._home = home

@@ -190,8 +190,7 @@ class PlanRules:
     """True if a second partner may not upload the same plan at the same time."""
     can_be_cancelled: bool = True
     waits_for_ack: bool = True
-    """True if a download lasts until the client's MISSION_ACK, and items are given only during
-    one."""
+    """True if a download lasts until MISSION_ACK, and items are given only during one."""
     reports_wrong_number: bool = False
     """True if an item out of order gets INVALID_SEQUENCE; otherwise it is dropped."""
     asks_in_old_form: bool = False

@@ -21,8 +21,7 @@ HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
 """Longest wait for a companion's first message: compiling its kernels takes half a minute."""
 SETTLE_S = 5.0
-"""Time until the companion knows the vehicle: it may listen 3 s for two systems (MAVLink guide, id
-assignment)."""
+"""Time until the companion knows the vehicle; it may listen 3 s for two systems."""
 UNKNOWN_COMMAND = 31_999
 SENSORS = 1 | 2 | 4 | 8 | 32 | 0x200000 | 0x2000000 | mav.PREARM
 

@@ -62,7 +62,6 @@ class TelemetryReader:
         self.system_id: int | None = None
         """System id of the autopilot that was heard first."""
         self.heartbeat: events.HeartbeatReceived | None = None
-        """The newest HEARTBEAT of the autopilot."""
         self.throttle_us = 0
         """Channel 3 of the pilot's transmitter; 0: none is heard."""
 

@@ -36,7 +36,6 @@ class PlainProgress:
         self._output, self._total, self._is_detailed = output, total, is_detailed
         self._done = self._step = 0
         self.display: AbstractContextManager[object] = nullcontext()
-        """Display during the flights."""
 
     def say(self, line: str) -> None:
         """Print a line."""

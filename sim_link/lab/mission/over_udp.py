@@ -58,8 +58,7 @@ HAND_BACK_S = 3.0
 HOME_S = 5.0
 """Real time for asking a vehicle of others to come home after a mission that failed."""
 MID_THROTTLE_US = range(1400, 1601)
-"""Throttle at which neither autopilot climbs or sinks in stick modes, with its default dead
-zones."""
+"""Throttle at which neither autopilot climbs or sinks by sticks, in its dead zone."""
 TRANSMITTER_S = 10.0
 """Mission time by which the companion has also requested the sticks."""
 Ports = namedtuple("Ports", "vehicle simulator companion operator radio")

@@ -259,8 +259,7 @@ class MavsdkOperator:
         """True if the autopilot can be armed and knows its home."""
         self.is_heard = False
         self.autopilot = Autopilot.OTHER
-        """Kind of autopilot, set by the observer of the vehicle: mode numbers differ between
-        autopilots."""
+        """Kind of autopilot, by its observer: mode numbers differ between autopilots."""
         self.is_armed = False
         """True while the vehicle is armed; set by its observer."""
 

@@ -192,10 +192,7 @@ class GrantStep(StepParams, frozen=True):
 
 
 class SearchStep(StepParams, frozen=True):
-    """The companion flies a pattern; over with the first contact, or when the target is found.
-
-    The pattern becomes the companion's `planner.search`, so a script has one search at most.
-    """
+    """The companion flies a pattern, its `planner.search`; over with contact, or a target."""
 
     pattern: PatternName = "lawnmower"
     spacing_m: Spacing | None = None
@@ -299,8 +296,7 @@ class Mission(Scenario, frozen=True, kw_only=True):
     about: str = ""
     """Purpose, in a sentence."""
     autopilots: tuple[FlavourName, ...] = ()
-    """Autopilots that it fits, and is flown on; empty: any, and it is flown on
-    `autopilot.flavour`."""
+    """Autopilots that it fits and is flown on; empty: any, on `autopilot.flavour`."""
     companion: CompanionConfig | str = CompanionConfig()
     """The companion's configuration (configuration.md), or the file that it is in."""
     steps: Annotated[tuple[Union[StepRecord, StepWord], ...], msgspec.Meta(min_length=1)]  # noqa: UP007

@@ -182,8 +182,7 @@ class StepRule:
     is_met: Condition
     action: Action | None = None
     has_begun: Condition | None = None
-    """Condition that is true once the effect of the action shows; None if nothing shows before it
-    is met."""
+    """True once the effect of the action shows; None if nothing shows before it is met."""
     limit_s: float = math.inf
     for_s: float = 0.0
     """Time for which it must be met."""

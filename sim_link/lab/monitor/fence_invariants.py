@@ -81,8 +81,7 @@ FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
 KEPT_S = 2.5
-"""Time after a jump of the vehicle position in which nothing moves, wherever the setpoint is
-then."""
+"""Time after a jump of the vehicle position in which the setpoint moves nowhere."""
 SAFE_M = 1.0
 """Depth inside that need not be known more exactly."""
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
@@ -166,15 +165,13 @@ class InsideFence(SetpointsInside):
         self._has_yielded = False
         """True if it reported another source in control, whatever mode is shown; I3 checks that."""
         self._has_left = False
-        """True if the vehicle has left the mode since that report: until then it flies our last
-        setpoint."""
+        """True once the vehicle left the mode: until then it flies our last setpoint."""
         self._known: tuple[Point, float] = ((0.0, 0.0), -math.inf)
         """Position whose depth inside is known, and that depth."""
         self._fences = 0
         """Number of fences that the autopilot has had in force."""
         self._is_caught = False
-        """True if a fence or control came when the vehicle could not stop before the border any
-        more."""
+        """True if fence or control came when the vehicle could not stop inside any more."""
 
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Check it against the true state, too."""
@@ -384,8 +381,7 @@ class FenceIsRead(Invariant):
         self._truth = scene
         self._fence: object = scene.vehicle.aircraft.fence
         self._since_s: float | None = None
-        """Earliest time at which it could know of another fence; None: none that it has not
-        requested."""
+        """Earliest time at which it could know of another fence; None: all were requested."""
         self._is_shown = not scene.is_px4
         self._asked_s = -math.inf
 

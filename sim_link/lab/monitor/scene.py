@@ -161,7 +161,6 @@ class ObservedScene:
     world_origin: LocalOrigin | None = None
     home_up_m: float | None = None
     height_error_m: float = 0.0
-    """Largest error of the autopilot's height."""
     is_flying: bool = False
     now_s: float = 0.0
     observed: ObservedState = field(default_factory=ObservedState)
