@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import importlib
 import os
 from collections.abc import Callable
@@ -45,17 +44,6 @@ PACKAGES = ("companion", "sim_link")
 """Packages that define kernels."""
 
 
-def _sources_digest() -> str:
-    """Return a short name for the current sources, by size and time of change."""
-    digest = hashlib.sha256()
-    root = Path(__file__).resolve().parent.parent
-    for package in PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            status = path.stat()
-            digest.update(f"{path} {status.st_size} {status.st_mtime_ns}\n".encode())
-    return digest.hexdigest()[:16]
-
-
 def _keep_compiled_apart() -> None:
     """Point numba's cache at a folder for these sources, and drop those long unused."""
     if os.environ.get("NUMBA_CACHE_DIR"):
@@ -64,7 +52,8 @@ def _keep_compiled_apart() -> None:
     numba.config.CACHE_DIR = ""
     if cache is None:
         return
-    current = cache / f"kernels-{_sources_digest()}"
+    root = Path(__file__).resolve().parent.parent
+    current = cache / f"kernels-{kernel_cache.digest_of(root, PACKAGES)}"
     with contextlib.suppress(OSError):
         current.mkdir(parents=True, exist_ok=True)
         os.utime(current)

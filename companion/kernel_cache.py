@@ -22,6 +22,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -43,16 +44,20 @@ forgoes_compiler = False
 """True in a process that flies, or may: it loads kernels that were compiled ahead, or none."""
 
 
+def digest_of(root: Path, names: Iterable[str]) -> str:
+    """Return a short name for the text of modules, and of all modules in folders, below a root."""
+    digest = hashlib.sha256()
+    for name in names:
+        below = root / name
+        for path in [below] if below.suffix else sorted(below.rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 @functools.cache
 def sources_digest() -> str:
     """Return a short name for the text of the kernels' sources."""
-    digest = hashlib.sha256()
-    here = Path(__file__).resolve().parent
-    for name in SOURCES:
-        below = here / name
-        for path in sorted(below.rglob("*.py")) if below.is_dir() else [below]:
-            digest.update(path.relative_to(here).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return digest_of(Path(__file__).resolve().parent, SOURCES)
 
 
 def describe(package: Path, variants: Variants) -> None:

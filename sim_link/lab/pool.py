@@ -39,6 +39,7 @@ from typing import Any, TypeVar, cast
 
 from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.kernel import IS_COMPILED
+from companion.kernel_cache import digest_of
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -310,12 +311,10 @@ def check_sources(digest: str) -> None:
 @lru_cache(maxsize=1)
 def sources_digest() -> str:
     """Return a short name of everything that results depend on, besides the tasks."""
-    digest = hashlib.sha256(f"{platform.python_version()} compiled {IS_COMPILED}\n".encode())
-    for name in LIBRARIES:
-        digest.update(f"{name} {version_of(name)}\n".encode())
-    for path in sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
-        digest.update(path.relative_to(ROOT).as_posix().encode() + b"\n" + path.read_bytes())
-    return digest.hexdigest()[:16]
+    versions = [f"{name} {version_of(name)}" for name in LIBRARIES]
+    python = f"{platform.python_version()} compiled {IS_COMPILED}"
+    facts = (python, *versions, digest_of(ROOT, PACKAGES))
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()[:16]
 
 
 def version_of(library: str) -> str:
