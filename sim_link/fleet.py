@@ -129,8 +129,7 @@ PX4_PORTS: dict[int, tuple[LinkMode, int]] = {
     STATION_PORT: ("station", 3990),
     14030: ("narrow", -300),
 }
-"""Kind of link by the port that PX4 sends to, and the offset of its own port from 14580, which is
-for companions."""
+"""Kind of link by the port that PX4 sends to, and its own port's offset from 14580."""
 MAX_PORT = 65_535
 MAX_SYSTEM_ID = 255
 SAVE_PERIOD_S = 1.0

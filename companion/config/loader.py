@@ -27,8 +27,7 @@ from companion.errors import ConfigError
 T = TypeVar("T")
 Renew = Callable[[dict[str, Any]], object]
 SMALLEST = 1e-12
-"""Smallest magnitude of a number but 0; of a much smaller one the square is zero, and the inverse
-infinite."""
+"""Smallest magnitude but 0; the square of a much smaller number is zero, its inverse infinite."""
 MAX_PROBLEMS = 20
 """Largest number of lines in an error."""
 MAX_BYTES = 100_000

@@ -42,8 +42,7 @@ RENAMED = {
     "SYSID_MYGCS": "MAV_GCS_SYSID",
     "WPNAV_SPEED": "WP_SPD",
 }
-"""Parameters of PX4 up to 1.17 and ArduCopter up to 4.6, and what came in their place: one of both
-is reported."""
+"""Parameters up to PX4 1.17 and ArduCopter 4.6, and their successors: one of both is reported."""
 
 
 @dataclass(frozen=True, slots=True)

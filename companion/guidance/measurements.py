@@ -46,8 +46,7 @@ PATIENCE_S = 0.25
 WAKE_ROWS = 20_000
 """Measurements that the steps of one wake-up process: a tenth of a control period, 5 ms."""
 BEGIN_ROWS = 4_000
-"""Cost of a measurement in this unit besides solutions: screen, filter and the use of the estimate,
-1 ms in plain Python."""
+"""Cost of a measurement besides solutions, in this unit: 1 ms in plain Python."""
 MOST_QUEUED = 256
 """Limit at which the oldest is dropped: 16 emitters at 10 Hz for more than a second."""
 

@@ -168,8 +168,7 @@ PATIENCE_S = 5.0
 """Real time after which a process that does not wake up has ended, and is not waited for."""
 PEERS = 2
 _ANCHOR = struct.Struct("<5d")
-"""Monotonic time, flight time, rate, speed; and their sum, by which a reader sees that all of it
-comes from one write."""
+"""Monotonic time, flight time, rate, speed; their sum shows that all is from one write."""
 _WOKEN = struct.Struct(f"<{PEERS}d")
 
 

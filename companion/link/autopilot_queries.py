@@ -168,8 +168,7 @@ HEARTBEAT_AGAIN_S = 0.25
 """Interval of those requests: where every other frame is lost, one in four is answered, and ten
 seconds after the last heartbeat control is in doubt."""
 HEARTBEAT_GIVEN_UP_S, HEARTBEAT_SELDOM_S = 12.0, 5.0
-"""Silence after which the autopilot probably does not support the request, and interval of requests
-from then on."""
+"""Silence after which the request is probably not supported, and its interval from then on."""
 
 
 @dataclass(slots=True)

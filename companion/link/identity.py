@@ -54,8 +54,7 @@ CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
 SPAN_S = 1.0
 """Minimum duration of a course from which frames return."""
 RETURNS, FEWEST_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
-"""Returns to the old course within a time that prove two senders; the smaller number where waiting
-costs nothing."""
+"""Returns to the old course in a time that prove two senders; fewer where waiting costs nothing."""
 FAR_STEP, BACK_STEP = 16, 240
 """Steps of one counter are smaller than the one, or, for reordered frames, larger than the other,
 modulo 256, unless a whole burst was lost."""

@@ -236,8 +236,7 @@ class LinkParams(Params, frozen=True):
     """Use of the companion's links."""
 
     component_id: Annotated[int, msgspec.Meta(ge=1, le=255)] | None = None
-    """MAVLink component id of the companion; null: 191, or the next free one up to 194 where
-    another component has that."""
+    """MAVLink component id; null: 191, or the next free one up to 194 where that is taken."""
 
     rate_hz: Annotated[float, msgspec.Meta(ge=20.0, le=50.0)] = 20.0
     """Control ticks, and so setpoints, per second."""

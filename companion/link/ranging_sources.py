@@ -39,8 +39,7 @@ RATE_MAX_HZ = 20.0
 MAX_EMITTERS = 16
 """Emitters of one sender with separate rates: as many as `emitters.most` allows."""
 MANY_LEFT_OUT = 10
-"""Dropped measurements since the last text before the next one: half a second's worth, more than a
-burst of a link."""
+"""Dropped measurements before the next text: half a second's worth, more than a burst."""
 RangingMessage = (
     MAVLink_radio_ranging_message
     | mavlink.MAVLink_landing_target_message

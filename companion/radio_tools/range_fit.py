@@ -50,8 +50,7 @@ LEAST_VALUES_TO_SPLIT = 20
 LEAST_SPEED_MPS = 0.5
 LEAST_SIGMA_M = 1e-3
 HALF_FREEDOM = 0.37 / 3.5
-"""Degrees of freedom of a mirrored deviation: by the median's efficiency, of half the values, about
-a fitted mean."""
+"""Degrees of freedom of a mirrored deviation: of half the values, about a fitted mean."""
 
 
 @dataclass(frozen=True, slots=True)

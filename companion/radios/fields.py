@@ -96,8 +96,7 @@ _MICRO_AS_U = dict.fromkeys(map(ord, _MICRO), "u")
 _UNIT_BEHIND = re.compile(
     r"([ \t]{0,3}[\[(]?)([^\W\d_]++(?:/[a-z]++)?|\N{DEGREE SIGN})(?!\s*[=:])|(['\"](?=\s|$)|%)"
 )
-"""A mark of feet, inches or percent, or a word, perhaps in brackets, that is not itself the name of
-what follows."""
+"""A mark of feet, inches or percent, or a word that does not itself name what follows."""
 _ABBREVIATIONS = "|".join(word for word in _UNIT_WORDS if 1 < len(word) < 5 and word.isascii())
 _UNIT_BEFORE = re.compile(
     rf"[\[(][ \t]?(?P<b>{'|'.join(map(re.escape, _UNIT_WORDS))})[ \t]?[\])][\"']?[ \t]*[:=]?[ \t]*$"

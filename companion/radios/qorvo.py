@@ -25,8 +25,7 @@ ANY_RECORD = "SESSION_"
 CONTINUED = (" ", "\t", "[")
 """First characters of a line that continues a record."""
 MEASUREMENT = re.compile(r"\[mac_address=((?:[^\[\]]|\[\w*\])*)\]")
-"""Measurement from its opening bracket to its closing one; names of values have units in brackets
-of their own."""
+"""Measurement from bracket to bracket; names of values have units in brackets, too."""
 ADDRESS = re.compile(r"0x[0-9a-fA-F]{1,16}")
 FAILURES = {
     "TX_FAILED",

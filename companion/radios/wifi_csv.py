@@ -49,8 +49,7 @@ class FtmCsvOptions(Params, frozen=True):
     """Names of the columns of an FTM firmware's CSV."""
 
     columns: tuple[Annotated[str, msgspec.Meta(max_length=40)], ...] = ()
-    """Columns in order, `emitter`, `range_cm`, `rtt_ns` and so on, `_` for one that is not read;
-    empty: the known ones are recognised."""
+    """Columns in order, as `emitter`, `range_cm`, `_` for unread; empty: those recognised."""
     delimiter: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] = ","
 
 

@@ -140,8 +140,7 @@ def rerun(
 OWN_COMPONENT = 191
 TICK_S = 0.05
 LONGEST_PAUSE_S = 60.0
-"""Longest pause between two frames of a tlog; a longer one, or one back in time, is a change of the
-wall clock."""
+"""Longest pause between frames of a tlog; a longer one is a change of the wall clock."""
 
 
 @dataclass(frozen=True, slots=True)

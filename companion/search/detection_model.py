@@ -59,8 +59,7 @@ class Propagation(NamedTuple):
     correlation_m: float
     """Distance over which shadowing changes: 10 to 30 m over rubble, 50 to 100 m in the open."""
     rice_k_db: float
-    """Power of the direct path over that of reflections: 6 to 9 dB in the open, about 0 where the
-    direct path is obstructed."""
+    """Power of the direct path over reflections: 6 to 9 dB in the open, else about 0."""
 
 
 Environment = Literal["unknown", "open", "rubble", "buildings"]

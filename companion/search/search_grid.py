@@ -144,8 +144,7 @@ def are_inside(polygon: Polygon, points: Floats) -> Bools:
 
 LatLon = tuple[float, float]
 MOST_AWAY_KM = 20.0
-"""Longest distance of a site from the vehicle's origin, beyond any flight: a file farther away is
-of another site."""
+"""Longest distance of a site from the vehicle's origin; a farther file is of another site."""
 
 
 @dataclass(frozen=True, slots=True)

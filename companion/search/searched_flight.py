@@ -187,8 +187,7 @@ GOOD_POD = 0.8
 
 
 ReachSource = Literal["configured", "preset"]
-"""Source of the reach before any contact: `search.detection.reach_m`, or the radio's preset,
-`estimation.filter.reach_m`."""
+"""Source of the reach before contact: `search.detection`, or the radio's preset."""
 REACH_WORDS: Mapping[ReachSource, tuple[str, str]] = {
     "configured": ("as configured", "configured, search.detection.reach_m"),
     "preset": ("from the radio's preset", "preset, estimation.filter.reach_m"),

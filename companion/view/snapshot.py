@@ -401,8 +401,7 @@ log = logging.getLogger("companion.view")
 PERIOD_S = 15.0
 """Seconds of the flight between two lines."""
 REPORTED_PHASES = HAS_VEHICLE | {Phase.LAUNCHING}
-"""Phases that are reported; on the ground every event has a text of its own, and a log must not
-grow without need."""
+"""Phases that are reported: events on the ground have texts, and a log must not grow."""
 
 
 class PlainView(FlightView):

@@ -75,8 +75,7 @@ class AutopilotParams(Params, frozen=True):
     return_altitude_m: FlightAltitude = 30.0
     """Altitude of RETURN above home (PX4 RTL_RETURN_ALT)."""
     disarm_after_landing_s: NonNegative = 2.0
-    """Delay of disarming after a landing (PX4 COM_DISARM_LAND); ArduPilot disarms a second after
-    LAND and RTL ended."""
+    """Delay of disarming (COM_DISARM_LAND); ArduPilot does it 1 s after LAND and RTL."""
     streams: Literal["all", "asked"] = "all"
     """Streams that PX4 sends unasked: its onboard link's, or HEARTBEAT (mode Custom)."""
     parameters: dict[str, float] = msgspec.field(default_factory=dict)

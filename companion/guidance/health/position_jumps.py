@@ -43,8 +43,7 @@ NOISE_SIGMAS = 7.0
 NOISE_SHARE = 0.02
 """Weight of the newest report in the mean square of that noise."""
 MAX_ACCELERATION_MPS2 = 10.0
-"""Largest acceleration; two positions and their velocities differ by a quarter of it times the time
-squared."""
+"""Largest acceleration; two states differ by a quarter of it times the time squared."""
 LEAST_TURN_RAD = math.radians(15.0)
 MAX_TURN_RADPS = math.radians(120.0)
 """Fastest change of a heading, beyond the smallest turn."""

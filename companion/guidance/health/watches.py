@@ -242,8 +242,7 @@ class OperatorCommandWatch(Watch):
 
 
 UNREAD_PATIENCE_S = 20.0
-"""Time for two rounds of unanswered requests and the pause between them, see `autopilot_fence`: 8
-tries of 0.4 s each, and 10 s."""
+"""Time for two rounds of unanswered requests (8 tries of 0.4 s) and the pause of 10 s between."""
 CHANGED_EVERY_S = 30.0
 
 

@@ -77,8 +77,7 @@ KNOWN_SIGMA_S = 0.02
 PROMPT_S = 1.0
 """Longest round trip of a prompt answer, which shows that the link is not slow."""
 PROMPT_WITHIN_S = 3.0
-"""Time for which a prompt answer shows that; where half of requests and of answers get lost, none
-comes in it once in six times."""
+"""Time for which a prompt answer shows that; with half of all lost it is missed once in six."""
 SLOW_WITHIN_S = 15.0
 """Time for which a late answer shows a slow link, if none comes promptly."""
 MAX_OPEN = 32

@@ -114,8 +114,7 @@ REBOOT_BACKWARD_MS = 1000
 """Step back of a time since boot that means a restart; less is a frame overtaken."""
 WRAP_MS = 2**32
 MAX_WRAP_GAP_MS = 60_000
-"""Longest distance from a wrap of the counter, after 49.7 days, at which a step back is the wrap
-and no restart."""
+"""Longest distance from a wrap, after 49.7 days, at which a step back is the wrap."""
 
 Component = tuple[int, int]
 

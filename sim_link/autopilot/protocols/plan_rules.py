@@ -75,8 +75,7 @@ class PlanChecks:
     zero_is_here: bool = False
     """True if a WAYPOINT at 0/0 is where the vehicle is (ArduPilot); otherwise it is refused."""
     nan_fourth: frozenset[int] | None = None
-    """Commands of a mission whose fourth parameter may be NaN, and no parameter else (ArduPilot);
-    None if all may be."""
+    """Mission commands whose fourth parameter alone may be NaN (ArduPilot); None: all."""
     more_positions: frozenset[int] = frozenset()
     """Commands with a position beyond those that both autopilots know."""
     more_others: frozenset[int] = frozenset()

@@ -72,8 +72,7 @@ STATION_HZ = _rates_hz("station")
 others make up the 154 messages a second in all."""
 HEARTBEAT_ONLY_HZ = {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
 NARROW_SHARE = 0.14
-"""Share of the rates on 14030 (4000 bytes/s), where LOCAL_POSITION_NED had 4.2 of its 30 Hz, and
-never more than 5."""
+"""Share of the rates on 14030 (4000 bytes/s): LOCAL_POSITION_NED at 4.2 of 30 Hz, 5 at most."""
 STREAMS = StreamProfile(
     ONBOARD_HZ,
     STEP_S,

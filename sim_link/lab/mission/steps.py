@@ -205,8 +205,7 @@ CONNECTED = parse_condition("vehicle.mode == vehicle.mode and companion.phase ==
 ARMED, DISARMED = parse_condition("vehicle.is_armed"), parse_condition("not vehicle.is_armed")
 IN_CONTROL = parse_condition("companion.is_in_control")
 GRANTED = parse_condition("companion.phase == standby or companion.is_in_control")
-"""Condition after a grant: it stands by; or flies, where a PX4 that lost its setpoints returns to
-them by itself."""
+"""After a grant: it stands by, or flies, as a PX4 returns to setpoints by itself."""
 READY = parse_condition(f"vehicle.is_ready and ({GRANTED.text})")
 HOLDING = parse_condition("vehicle.mode == hold")
 RETURNING = parse_condition('vehicle.mode == "return"')

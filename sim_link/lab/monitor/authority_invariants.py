@@ -36,8 +36,7 @@ RAISES = (
 FAILSAFE = mavlink.MAV_STATE_CRITICAL
 HEARD = frozenset({mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_COMMAND_LONG})
 RECOVERY_S = 2.0
-"""Time in which a stalled companion learns the mode: it requests it every 250 ms, over a link that
-may lose it."""
+"""Time to learn the mode after a stall: requested each 250 ms, over a link that loses."""
 HEARTBEATS_S = 1.5
 """Longest gap of HEARTBEATs, which autopilots send every second."""
 
@@ -306,8 +305,7 @@ PERIOD_S = 30.0
 CHUNK = 50
 """Bytes of a STATUSTEXT; a shorter chunk is the last one of its text."""
 FIGURE = re.compile(r"(?<!system )(?<!emitter )\d+(\.\d+)*")
-"""Figures, without which the words of a text are its cause; the number of a system or an emitter
-belongs to it."""
+"""Figures, without which the words are a text's cause; not the number of an emitter."""
 BY_A_PERSON = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET"})
 """Messages that the companion answers with a text every time."""
 
