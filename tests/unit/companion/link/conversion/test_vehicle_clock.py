@@ -18,7 +18,9 @@ from companion.link.conversion.sender_clock import (
     SenderClock,
     VehicleClock,
 )
-from companion.mav.dialect import Message, mavlink
+from companion.link.ranging_sources import MavlinkRanging
+from companion.mav.codec import MavCodec
+from companion.mav.dialect import MAVLink_radio_ranging_message, Message, mavlink
 from companion.mav.payloads import TargetedTimesync
 
 RECORDED = Path(__file__).parents[4] / "data/clocks/arducopter_stopped.csv"
@@ -356,3 +358,29 @@ def test_a_radio_whose_link_gets_slower_keeps_its_rate(late: Callable[[int], flo
         reading = clock.read(UP_S + now_s, now_s + late(step))
         assert abs(reading.time_s - now_s) < GOOD_S
     assert clock.timebase.rate == NO_RATE
+
+
+def test_a_radio_on_its_clock_stays_on_it_through_small_losses_and_a_stop() -> None:
+    """ArduCopter on a busy computer: then it stopped for 1 s, and no range was used for 20 s."""
+    autopilot = Autopilot(jitter_s=0.01)
+    source = MavlinkRanging(MavCodec(1, 191), autopilot.clock)
+    errors_s: dict[str, float] = {}
+
+    def hear(name: str, seconds: float) -> None:
+        for _ in range(round(seconds / 0.2)):
+            autopilot.run(0.2)
+            stamp_us, sent_s = round(1e6 * autopilot.remote_s), autopilot.now_s
+            nan = math.nan
+            radio = MAVLink_radio_ranging_message(
+                stamp_us, 80.0, 1.0, nan, nan, nan, nan, 7, 255, 0
+            )
+            (heard,) = source.receive(MavCodec(1, 158).encode(radio), sent_s + 0.04)
+            errors_s[name] = abs(heard.measured_at_s - sent_s)
+
+    hear("steady", 5.0)
+    for lost_s in (0.09, 0.05, 0.02):
+        autopilot.stand_still(lost_s)
+        hear("busy", 10.0)
+    autopilot.stand_still(1.0)
+    hear("after the stop", 5.0)
+    assert max(errors_s.values()) < GOOD_S + CLOCK_TOLERANCE_S, errors_s
