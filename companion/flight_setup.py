@@ -36,7 +36,7 @@ from companion.guidance.emitters import EmitterQueue
 from companion.guidance.searching import Searching
 from companion.guidance.session import GuidanceSession
 from companion.io.checkpoints import kept_offsets, radio_key
-from companion.io.files import FLIGHT, MCAP, write_bytes_atomic
+from companion.io.files import FLIGHT, MCAP, read_bytes, write_bytes_atomic
 from companion.io.flight_recorder import FlightJournal, delete_old_flights, new_flight_directory
 from companion.io.links.transports import FlightLink, parse_flight_link, radio_link
 from companion.io.mcap_file import McapLog
@@ -301,7 +301,7 @@ def open_flight(path: Path) -> RecordedFlight:
         raise ConfigError(f"{path}: there is no such file or folder")
     facts_path = directory / FLIGHT
     try:
-        data = facts_path.read_bytes()
+        data = read_bytes(facts_path)
     except OSError as error:
         raise ConfigError(
             f"{facts_path}: cannot be read ({error.strerror}); give a flight's folder, as in "

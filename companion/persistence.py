@@ -46,7 +46,13 @@ from companion.io.checkpoints import (
     age_s,
     present_moment,
 )
-from companion.io.files import CLOSE_TIMEOUT_S, BackgroundReplacer, WriterThread, write_bytes_atomic
+from companion.io.files import (
+    CLOSE_TIMEOUT_S,
+    BackgroundReplacer,
+    WriterThread,
+    open_file,
+    write_bytes_atomic,
+)
 from companion.io.flight_recorder import FlightJournal
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState
@@ -268,7 +274,7 @@ class ParameterKeeper:
     def _load(self) -> dict[str, float]:
         """Return the saved parameters; a file that cannot be read is reported and ignored."""
         try:
-            with self._path.open("rb") as file:
+            with open_file(self._path) as file:
                 data = file.read(MAX_BYTES)
             return msgspec.json.decode(data, type=dict[str, float])
         except FileNotFoundError:

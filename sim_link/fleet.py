@@ -16,7 +16,7 @@ import msgspec
 
 from companion.config.loader import load_yaml
 from companion.errors import ConfigError
-from companion.io.files import check_writable, write_json_atomic, write_text_atomic
+from companion.io.files import check_writable, read_bytes, write_json_atomic, write_text_atomic
 from companion.io.links.transports import Line, OwnLine, Transport, UdpFanOut, shared
 from companion.io.state_directory import load_signing_key, store_signing_key
 from companion.mav.endpoint import Address, Chunk
@@ -194,7 +194,7 @@ def _signing(path: Path | None) -> Signing | None:
 def has_signing_ended(path: Path) -> bool:
     """Return True if a client ended signing: then the file holds the key of zeros."""
     try:
-        return path.read_text(encoding="ascii").strip() == NO_KEY
+        return read_bytes(path).decode("ascii").strip() == NO_KEY
     except (OSError, UnicodeDecodeError):
         return False  # loading the key reports what is wrong
 
@@ -263,7 +263,7 @@ def stored_parameters(path: Path | None) -> str:
         return ""
     check_writable(path)
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bytes(path).decode("utf-8")
     except FileNotFoundError:
         return ""
     except UnicodeDecodeError:

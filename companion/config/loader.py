@@ -23,6 +23,7 @@ import msgspec
 import yaml
 
 from companion.errors import ConfigError
+from companion.io.files import open_file
 
 T = TypeVar("T")
 Renew = Callable[[dict[str, Any]], object]
@@ -128,7 +129,7 @@ def load_yaml(path: Path, kind: type[T], renew: Renew | None = None) -> T:
 def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """Return the text of a UTF-8 file, without a byte order mark; raise `ConfigError` on others."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             content = file.read(max_bytes + 1)
         if len(content) > max_bytes:
             raise ConfigError(f"{path}: larger than {max_bytes // 1000} kB; is it the right file?")

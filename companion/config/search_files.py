@@ -29,6 +29,7 @@ from companion.config.loader import read_text
 from companion.errors import ConfigError, how_to_install
 from companion.geometry.geofence import GeoFence, LatLon
 from companion.geometry.polygons import is_simple
+from companion.io.files import open_file
 from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
 
 MOST_CORNERS = 2000
@@ -293,7 +294,7 @@ def _raster_of_geotiff(path: Path) -> SiteRaster:
         raise ValueError(f"GeoTIFF needs tifffile: {how_to_install('tifffile')}") from None
     logging.getLogger("tifffile").disabled = True  # what it says of damage is in the error
     try:
-        with tifffile.TiffFile(path) as file:
+        with open_file(path) as raw, tifffile.TiffFile(raw, name=str(path)) as file:
             page = file.pages.first
             if not isinstance(page, tifffile.TiffPage) or not page.size:
                 raise ValueError("it has no image")

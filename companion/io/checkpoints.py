@@ -33,7 +33,7 @@ import msgspec
 from companion.domain import Autopilot
 from companion.errors import CompanionError, ConfigError
 from companion.guidance.events import SessionMemory, VehicleMark
-from companion.io.files import BackgroundReplacer, write_json_atomic
+from companion.io.files import BackgroundReplacer, open_file, read_bytes, write_json_atomic
 
 MAGIC = b"CkPt"
 VERSION = 1
@@ -198,7 +198,7 @@ class CheckpointStore:
         has_files = False
         for path in self.paths:
             try:
-                with path.open("rb") as file:
+                with open_file(path) as file:
                     has_files = True
                     found.append(decode_checkpoint(file.read(MAX_BYTES + 1)))
             except FileNotFoundError:
@@ -276,7 +276,7 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
     """Return all kept offsets; a `ConfigError` names a file that cannot be read."""
     path = directory / FILE
     try:
-        return msgspec.json.decode(path.read_bytes(), type=dict[str, KeptOffset])
+        return msgspec.json.decode(read_bytes(path), type=dict[str, KeptOffset])
     except FileNotFoundError:
         return {}
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

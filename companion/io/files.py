@@ -1,27 +1,26 @@
-"""Files written atomically as a whole, and the names of those of a flight.
-
-Output from a background thread, so that the caller never waits: of any kind, and to files.
+"""Files read or replaced whole, the names of those of a flight, and threads that write.
 
 `WriterThread` empties a bounded queue. A full one (a disk, a terminal or a pipe that hangs) loses
 items, which are counted, and never raises or blocks the caller.
 
-An appended record is written whole or not at all: after a partial write the file is cut back, so
-that one failure does not spoil the records after it. Of a capped file the newest part is kept: at
-half the cap it is renamed to `NAME.old.SUFFIX`, replacing the previous one, and a new file begins.
-A reader joins the two in this order.
+An appended record is written whole or not at all: after a partial write the file is cut back. Of a
+capped file the newest part is kept: at half the cap it is renamed to `NAME.old.SUFFIX`, replacing
+the previous one, and a new file begins. A reader joins the two in this order.
 
-A replacement is atomic (see `files.write_bytes_atomic`). Of several contents waiting for one file
-only the newest is written, so that a slow disk costs history and never memory. A failure is
-counted, reported once, and retried only with the next content.
+Of several contents waiting to replace one file only the newest is written, so that a slow disk
+costs history and never memory. A failure is counted, reported once, and retried only with the next.
 """
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import logging
 import math
 import os
 import queue
+import stat
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -29,10 +28,11 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import BinaryIO, Generic, TypeVar
 
 from companion.errors import CompanionError, ConfigError
 
+T = TypeVar("T")
 OnDamage = Callable[[int], None]
 """Called with each damaged position of a log: a byte, a record or a line of it."""
 
@@ -40,8 +40,7 @@ OnDamage = Callable[[int], None]
 def plain(value: object) -> object:
     """Return `value` in JSON's own types: NaN and infinity become None, enums their value.
 
-    Dataclasses become objects and arrays lists. Anything that JSON has no type for becomes its
-    text, so that writing a log entry never fails.
+    Dataclasses become objects, arrays lists, and anything that JSON has no type for its text.
     """
     if isinstance(value, Enum):
         return plain(value.value)
@@ -65,17 +64,54 @@ _LINES = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=plain)
 
 def json_line(value: object) -> bytes:
     """Return `plain(value)` as one line of ASCII JSON, without the newline."""
-    try:
-        text = _LINES.encode(value)  # most values are plain already, down to every number
+    try:  # most values are plain already, down to every number
+        return _LINES.encode(value).encode("ascii")
     except (ValueError, TypeError):
-        text = _LINES.encode(plain(value))
-    return text.encode("ascii")
+        return _LINES.encode(plain(value)).encode("ascii")
+
+
+MAX_PIPED_BYTES = 100_000_000
+"""Size from which a pipe is taken for an endless one; all of it is in memory."""
+_AT_ONCE = os.O_NONBLOCK | os.O_NOCTTY
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open an input file that is read whole.
+
+    A pipe with a writer, as of a process substitution, is read to its end first. Raises an
+    `OSError` also for a pipe without one, which would be waited for, and for a device.
+    """
+    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | _AT_ONCE))  # noqa: SIM115
+    mode = os.fstat(file.fileno()).st_mode
+    if stat.S_ISREG(mode):
+        return file
+    with file:
+        content = file.raw.read(MAX_BATCH)  # None: nothing yet, of a writer or a line
+        if stat.S_ISCHR(mode) and content == b"":
+            return io.BytesIO()  # the null device
+        if not stat.S_ISFIFO(mode):
+            raise OSError(errno.EINVAL, "a device; give a file")
+        if content == b"":
+            raise OSError(errno.EPIPE, "a pipe that nothing is written to; give a file")
+        os.set_blocking(file.fileno(), True)
+        whole = bytearray(content or b"")
+        while more := file.read1():  # in pieces: an interrupt ends the wait
+            whole += more
+            if len(whole) > MAX_PIPED_BYTES:
+                raise OSError(errno.EFBIG, "a pipe without an end; save it as a file")
+    return io.BytesIO(whole)
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file; raises the errors of `open_file`."""
+    with open_file(path) as file:
+        return file.read()
 
 
 def read_file(path: Path) -> bytes:
     """Return the content of a file; raises a `ConfigError` if it cannot be read."""
     try:
-        return path.read_bytes()
+        return read_bytes(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
 
@@ -96,21 +132,16 @@ def write_text_atomic(path: Path, text: str, mode: int = 0o666) -> None:
 def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace a file as a whole: after a power cut there is either the old or the new content.
 
-    `mode` is its permission bits before the umask. Raises a `CompanionError` if it cannot be
-    written; an old file is still there then. A device or a pipe (/dev/stdout) is written to: root
-    would replace even those.
+    `mode` is its permission bits before the umask; a device or a pipe is written to. Raises a
+    `CompanionError` if it cannot be written; an old file is still there then.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-
-    def opener(name: str, flags: int) -> int:
-        return os.open(name, flags, mode)
-
     try:
         if path.parent in DEVICES or (path.exists() and not path.is_file()):
             path.write_bytes(content)
             return
         temporary.unlink(missing_ok=True)
-        with open(temporary, "wb", opener=opener) as file:
+        with open(temporary, "wb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -141,9 +172,6 @@ def check_writable(path: Path) -> None:
 TLOG, MCAP, EVENTS, INPUTS = "flight.tlog", "flight.mcap", "events.jsonl", "flight.inputs"
 FLIGHT, RESULT, REPORT = "flight.json", "result.json", "report.html"
 
-
-T = TypeVar("T")
-
 MAX_BATCH = 1024
 """Limit of a batch; a second of the busiest autopilot link has 405 frames."""
 CLOSE_TIMEOUT_S = 1.0
@@ -155,7 +183,6 @@ class WriterHealth:
 
     queued: int
     dropped: int
-    """Items lost so far, to a full queue or a failed write."""
     bytes_kept: int
     """Bytes on disk, older parts included."""
     silent_s: float
@@ -225,11 +252,10 @@ class WriterThread(Generic[T]):
 
     def finish(self) -> None:
         """Ask the thread to write everything queued and end, without waiting; see `close`."""
-        if self._is_closed:
-            return
-        self._is_closed = True
-        self._is_ending.set()
-        self._queue.put(None)
+        if not self._is_closed:
+            self._is_closed = True
+            self._is_ending.set()
+            self._queue.put(None)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """Write everything queued within `timeout_s`; return True on success."""
@@ -267,9 +293,8 @@ logger = logging.getLogger("companion.io")
 MAX_QUEUED = 10_000
 SYNC_PERIOD_S = 1.0
 GATHER_S = SYNC_PERIOD_S
-"""Time for which records are gathered, because a thread that wakes for each would take the
-interpreter from the control tick a hundred times a second. They reach the disk once in this time
-anyway."""
+"""Time for which records are gathered: a thread that wakes for each would take the interpreter from
+the control tick a hundred times a second."""
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 

@@ -26,7 +26,7 @@ from companion.errors import CompanionError, ConfigError, how_to_install
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import ellipse_95
 from companion.guidance.commands import ReportResult, Severity
-from companion.io.files import CLOSE_TIMEOUT_S, WriterThread, json_line
+from companion.io.files import CLOSE_TIMEOUT_S, WriterThread, json_line, open_file
 from companion.io.log_files import frame_for_log
 
 FRAME_CHANNEL, INPUT_CHANNEL = "/mavlink", "/companion/inputs"
@@ -321,7 +321,7 @@ def read_mcap_flight(path: Path) -> McapFlight:
         raise ConfigError(f"{path}: needs mcap: {how_to_install('mcap')}") from error
     inputs: list[bytes] = []
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             reader = make_reader(file)
             kept = [m for m in reader.iter_metadata() if m.name == "flight"]
             if not kept:

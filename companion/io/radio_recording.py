@@ -22,7 +22,7 @@ import msgspec
 from companion.domain import PositionEnu
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LocalOrigin, Projection
-from companion.io.files import OnDamage
+from companion.io.files import OnDamage, open_file
 
 VERSION = 1
 MOST_DATA_BYTES = 65_536
@@ -189,7 +189,7 @@ def is_radio_recording(path: Path) -> bool:
     """Return True if a file begins as a recording does; False if it cannot be read."""
     beginning = b'{"kind":"radio_recording"'
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(len(beginning)) == beginning
     except OSError:
         return False
@@ -237,7 +237,7 @@ def _records(
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             for number in range(1, 2**63):
                 line = file.readline(MOST_LINE_BYTES)
                 if not line:

@@ -36,7 +36,7 @@ from pathlib import Path
 import msgspec
 
 from companion.errors import ConfigError, LinkError
-from companion.io.files import BackgroundReplacer, write_bytes_atomic, write_text_atomic
+from companion.io.files import BackgroundReplacer, open_file, write_bytes_atomic, write_text_atomic
 from companion.io.links.transports import OwnLine, Pty, SerialPort, Transport
 from companion.mav.signing import (
     AS_THE_GUIDE,
@@ -179,7 +179,7 @@ def load_signing_key(path: Path) -> SigningKey:
     others (mode beyond 0600), or holds no key.
     """
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
             content = file.read(MAX_KEY_FILE_BYTES)
     except OSError as error:
@@ -318,7 +318,7 @@ def open_signing_keeper(
 
 def _read(path: Path) -> bytes | None:
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return file.read(MAX_FILE_BYTES)
     except FileNotFoundError:
         return None

@@ -13,6 +13,7 @@ the error of the estimate. Values for a whole walk may stand in the JSON object 
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,6 +38,7 @@ from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.rivals import Observability
+from companion.io.files import open_file, read_bytes
 
 REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")
@@ -234,9 +236,11 @@ def stated_accuracy(path: Path) -> WalkAccuracy:
     """Return the accuracy in the JSON file next to a walk; none without such a file."""
     beside = path.with_suffix(".json")
     try:
-        return msgspec.json.decode(beside.read_bytes(), type=WalkAccuracy)
-    except OSError:
+        return msgspec.json.decode(read_bytes(beside), type=WalkAccuracy)
+    except (FileNotFoundError, NotADirectoryError):
         return WalkAccuracy()
+    except OSError as error:
+        raise ConfigError(f"{beside}: beside the walk: cannot be read ({error.strerror})") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigError(f"{beside}: beside the walk: {error}") from error
 
@@ -247,7 +251,7 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
     if own_sigma_m is not None:
         stated = msgspec.structs.replace(stated, own_sigma_m=own_sigma_m)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with io.TextIOWrapper(open_file(path), encoding="utf-8-sig", newline="") as file:
             separator = max(SEPARATORS, key=file.readline().count)
             file.seek(0)
             reader = csv.DictReader(file, delimiter=separator)

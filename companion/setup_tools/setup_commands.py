@@ -40,7 +40,7 @@ from companion.doctor.examination import exit_code, run_doctor
 from companion.doctor.findings import CheckResult, as_lines, fail
 from companion.errors import CompanionError, ConfigError
 from companion.flight_setup import flight_links
-from companion.io.files import read_file, write_bytes_atomic
+from companion.io.files import read_bytes, read_file, write_bytes_atomic
 from companion.io.links.transports import SerialPort, Transport, check_exposure
 from companion.run import compile_kernels
 
@@ -124,7 +124,7 @@ def remove_files(directory: Path) -> list[str]:
 def _record(directory: Path) -> SetupRecord | None:
     path = directory / RECORD
     try:
-        return msgspec.json.decode(path.read_bytes(), type=SetupRecord)
+        return msgspec.json.decode(read_bytes(path), type=SetupRecord)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:

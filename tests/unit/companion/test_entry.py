@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import shlex
 import signal
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -158,12 +160,15 @@ def test_a_full_disk_under_the_output_is_one_line_and_a_failed_run(tmp_path: Pat
 def test_a_termination_ends_a_command_with_one_line(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "walk.csv")
     command = [sys.executable, "-m", "companion", "replay", "walk.csv"]
-    with (
-        subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as replay,
-        open(tmp_path / "walk.csv", "wb"),  # opens once the command reads
-    ):
+    pipe = os.open(tmp_path / "walk.csv", os.O_RDWR)
+    os.write(pipe, bytes(fcntl.fcntl(pipe, fcntl.F_GETPIPE_SZ)))
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as replay:
+        os.write(pipe, b"\n")  # has room once the command reads
+        while fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)) != bytes(4):
+            pass
         replay.send_signal(signal.SIGTERM)
         _, said = replay.communicate(timeout=60.0)
+    os.close(pipe)
     assert (replay.returncode, said) == (1, b"companion: interrupted\n")
 
 
