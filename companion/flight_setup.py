@@ -10,6 +10,7 @@ import math
 import os
 import platform
 import shutil
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -273,14 +274,8 @@ def open_journal(
         parameters=dict(parameters),
     )
     flight_json = facts_as_json(facts)
-    root, keep, max_bytes = (
-        Path(config.log.directory),
-        config.log.keep_flights,
-        config.log.max_bytes,
-    )
-    directory = new_flight_directory(root, started_unix_s)
-    if keep is not None and (deleted := delete_old_flights(root, keep, directory)):
-        log.info("log.keep_flights: deleted %d older flights", len(deleted))
+    max_bytes = config.log.max_bytes
+    directory = new_flight_directory(Path(config.log.directory), started_unix_s)
     mcap = None
     try:
         write_bytes_atomic(directory / FLIGHT, flight_json)
@@ -292,6 +287,17 @@ def open_journal(
         raise
     log.info("flight log: %s", directory)
     return journal
+
+
+def begin_housekeeping(directory: Path, keep: int | None) -> None:
+    """Delete all but the newest `keep` flights on a thread, once the one in `directory` flies."""
+
+    def delete() -> None:
+        """Delete them, however long the disk takes."""
+        if keep is not None and (deleted := delete_old_flights(directory.parent, keep, directory)):
+            log.info("log.keep_flights: deleted %d older flights", len(deleted))
+
+    threading.Thread(target=delete, name="delete older flights").start()
 
 
 def open_flight(path: Path) -> RecordedFlight:

@@ -33,7 +33,12 @@ from companion.diagnostics import (
     raised_priority,
 )
 from companion.errors import CompanionError, LinkError
-from companion.flight_setup import build_endpoint, build_planner, open_journal
+from companion.flight_setup import (
+    begin_housekeeping,
+    build_endpoint,
+    build_planner,
+    open_journal,
+)
 from companion.guidance.commands import Severity
 from companion.guidance.events import ProcessMessage
 from companion.guidance.phases import IN_CONTROL, Phase
@@ -283,6 +288,7 @@ class _Flight:
         self._options = options
         self._clock = clock
         self._keeper = keeper
+        self._keep_flights = config.log.keep_flights
         max_age_s = config.process.resume_max_age_s
         self._store = None if max_age_s is None else CheckpointStore(state.parent, state.name)
         tunables = Tunables(config, build_planner)
@@ -400,6 +406,8 @@ class _Flight:
         name = self._vehicle_link.name
         if self._hints == 0:
             self._hints = 1
+            if self.directory is not None:
+                begin_housekeeping(self.directory, self._keep_flights)
             log.info("waiting for an autopilot on %s", name)
         if self._hints == 1 and self._clock.now_s() >= SILENCE_HINT_S:
             self._hints = 2
