@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import shlex
 import sys
 from functools import partial
 from pathlib import Path
@@ -142,7 +143,8 @@ def _report_flight(tiles: Path | None, directory: Path) -> None:
     if is_quick(directory):
         _write_report(directory, tiles)
     else:
-        print(f"companion: make the report with: companion report {directory}", file=sys.stderr)
+        command = f"companion report {shlex.quote(str(directory))}"
+        print(f"companion: make the report with: {command}", file=sys.stderr)
 
 
 def _write_report(directory: Path, tiles: Path | None) -> Path | None:

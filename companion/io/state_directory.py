@@ -25,6 +25,7 @@ import hashlib
 import logging
 import os
 import re
+import shlex
 import socket
 import stat
 import threading
@@ -180,17 +181,13 @@ def load_signing_key(path: Path) -> SigningKey:
     """
     try:
         with open_file(path) as file:
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            mode = stat.S_IMODE(path.stat().st_mode)
             content = file.read(MAX_KEY_FILE_BYTES)
     except OSError as error:
         raise ConfigError(
             f"{path}: the signing key cannot be read ({error.strerror}); make one with "
             f"{HOW_TO_MAKE_ONE}"
         ) from None
-    if mode & 0o177:
-        raise ConfigError(
-            f"{path}: the signing key is open to others (mode {mode:04o}); chmod 600 {path}"
-        )
     text = content.decode("ascii", errors="replace").strip()
     try:
         secret = bytes.fromhex(text)
@@ -200,6 +197,11 @@ def load_signing_key(path: Path) -> SigningKey:
         raise ConfigError(
             f"{path}: a signing key is {2 * KEY_LENGTH} hexadecimal digits; make one with "
             f"{HOW_TO_MAKE_ONE}"
+        )
+    if mode & 0o177:
+        raise ConfigError(
+            f"{path}: the signing key is open to others (mode {mode:04o}); "
+            f"chmod 600 {shlex.quote(str(path))}"
         )
     try:
         return SigningKey(secret)

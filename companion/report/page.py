@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -170,7 +171,7 @@ def report_page(
         charts=charts_of(summary, facts.config),
         events=summary.events,
         footer=f"companion {__version__}, flown with {facts.version} on Python {facts.python}; "
-        f"run it again with: companion replay {name}",
+        f"run it again with: companion replay {shlex.quote(name)}",
         began_unix_s=facts.started_unix_s,
     )
     return render_page(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from pathlib import Path
 
 import pytest
@@ -55,7 +56,7 @@ def test_a_port_open_to_the_network_needs_a_key(
 @pytest.mark.parametrize(
     ("mode", "text", "problem"),
     [
-        (0o644, "0123456789abcdef" * 4, "chmod 600"),
+        (0o644, "0123456789abcdef" * 4, "chmod 600 '/"),
         (0o600, "0" * 64, "zeros"),
         (0o600, "0123", "64 hexadecimal digits"),
     ],
@@ -63,7 +64,8 @@ def test_a_port_open_to_the_network_needs_a_key(
 def test_a_bad_key_file_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], mode: int, text: str, problem: str
 ) -> None:
-    path = key_file(tmp_path, mode, text)
+    (tmp_path / "a site").mkdir()
+    path = key_file(tmp_path / "a site", mode, text)
     line = complaint(capsys, "--connect", OPEN, "--signing-key", str(path), "--quiet")
     assert line.startswith(f"companion: {path}: ")
     assert problem in line
@@ -76,6 +78,13 @@ def test_a_key_file_of_the_configuration_is_refused_the_same_way(
     config = tmp_path / "site.yaml"
     config.write_text(f"link: {{signing_key_file: {path}}}")
     assert "chmod 600" in complaint(capsys, "--connect", OPEN, "--config", str(config), "--quiet")
+
+
+def test_a_key_that_is_a_device_gets_no_other_permissions(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    line = complaint(capsys, "--connect", OPEN, "--signing-key", os.devnull, "--quiet")
+    assert line.startswith("companion: /dev/null: a signing key is 64 hexadecimal digits; make one")
 
 
 BOW_TIE = (
