@@ -209,7 +209,7 @@ def run_demo(
     make_views: MakeViews,
     at_end: Callable[[Path], None] | None = None,
 ) -> bool:
-    """Fly, print the result, write the outputs; return True if the target was found."""
+    """Fly, print the result, write the outputs; True: found, and nothing of the log is lost."""
     # refuse outputs before the flight that could not be written after it
     for path in (options.json, options.plot):
         if path is not None:
@@ -231,16 +231,16 @@ def run_demo(
             links = [FlightLink(UdpBind(HOST, port), LinkSpec(LinkRole.VEHICLE))]
             views = [watch, *make_views(config, _emitter_enu_m(truth))]
             flight_options = FlightOptions(views=views, at_end=at_end)
-            endpoint = fly(config, links, clock, flight_options).endpoint
+            end = fly(config, links, clock, flight_options)
             simulator.stop(STOP_TIMEOUT_S)  # it writes its report first
-            result = DemoResult(options, watch, endpoint, simulator.report())
+            result = DemoResult(options, watch, end.endpoint, simulator.report())
             _say(result.summary)
             if options.json is not None:
                 write_json_atomic(options.json, result.as_json())
                 _say(f"result: {options.json}")
             if options.plot is not None:
                 result.draw(options.plot, config)
-    return result.is_localised
+    return result.is_localised and end.is_log_whole
 
 
 def _emitter_enu_m(report: Mapping[str, Any]) -> Point:

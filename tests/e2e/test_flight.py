@@ -213,6 +213,24 @@ def test_demo_writes_its_result_and_picture(commands: Commands, autopilot: str) 
 
 
 @pytest.mark.slow
+def test_a_demo_whose_log_was_lost_failed(commands: Commands) -> None:
+    """RLIMIT_FSIZE stands for a full disk."""
+    command = [
+        "prlimit",
+        "--fsize=100000",
+        str(BIN / "companion"),
+        "demo",
+        "--speed",
+        SPEED,
+        "--no-plot",
+    ]
+    demo = subprocess.run(command, cwd=commands.directory, capture_output=True, text=True)
+    assert "LOCALISED: " in demo.stdout
+    assert "lost to a slow or full disk" in demo.stderr
+    assert demo.returncode == 1
+
+
+@pytest.mark.slow
 def test_demo_that_runs_out_of_time_says_so(commands: Commands) -> None:
     (commands.directory / "short.yaml").write_text("time_limit_s: 20.0\n")
     demo = commands.start(
