@@ -46,6 +46,12 @@ COLUMNS = (
     *(*REQUIRED, *MEASURED, "agent_z_m", "own_sigma_m", "own_yaw_sigma_rad"),
     *("target_x_m", "target_y_m"),
 )
+UNITS = {"ft": ("m", "0.3048"), "feet": ("m", "0.3048"), "deg": ("rad", "pi / 180")}
+"""Unit of a walk and factor, for the ends of other columns' names."""
+FROM_DEGREES = (
+    "from degrees, lat0 and lon0 of a point on the site: agent_x_m = (lon - lon0) * 111320 * "
+    "cos(lat0), agent_y_m = (lat - lat0) * 111320"
+)
 SEPARATORS = ",;\t"
 """A spreadsheet writes semicolons where the comma separates decimals."""
 PROGRESS_ROWS = 2000
@@ -270,22 +276,33 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
             return sorted(rows, key=lambda row: row.measurement.measured_at_s)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text; expected a CSV file") from error
-    except csv.Error as error:
-        raise ConfigError(f"{path}: not a CSV file: {error}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: not a CSV file in UTF-8: {error}") from error
 
 
 def _check_columns(present: Sequence[str], line: str) -> None:
     """Raise ConfigError for columns that no walk can be read from."""
     missing = [name for name in REQUIRED if name not in present]
+    if not any(name in present for name in MEASURED):
+        missing.append(" or ".join(MEASURED))
     if missing:
-        raise ConfigError(f"{line}: missing column {', '.join(missing)}")
+        hints = _conversions(present)
+        raise ConfigError("; ".join((f"{line}: missing column {', '.join(missing)}", *hints)))
     twice = [name for name in COLUMNS if present.count(name) > 1]
     if twice:
         raise ConfigError(f"{line}: more than one column {', '.join(twice)}")
-    if not any(name in present for name in MEASURED):
-        raise ConfigError(f"{line}: needs a column {' or '.join(MEASURED)}")
+
+
+def _conversions(present: Sequence[str]) -> Iterator[str]:
+    """Return how to convert columns in other units into those of a walk."""
+    for name in present:
+        base, _, unit = name.rpartition("_")
+        ours, factor = UNITS.get(unit, ("", ""))
+        for column in (f"{base}_{ours}", f"agent_{base}_{ours}"):
+            if column in COLUMNS:
+                yield f"{column} = {name} * {factor}"
+    if any(name.lower().startswith(("lat", "lon", "lng")) for name in present):
+        yield FROM_DEGREES
 
 
 def _cells(row: Mapping[str, str | None], has_points: bool) -> dict[str, str]:
@@ -341,10 +358,8 @@ def _sigma(row: Mapping[str, str], name: str, line: str, stated: float | None) -
 
 def _number(row: Mapping[str, str], name: str, line: str) -> float | None:
     text = row.get(name)
-    if not text:
-        return None
     try:
-        return float(text)
+        return float(text) if text else None
     except ValueError:
         raise ConfigError(f"{line}: {name} is not a number: `{text}`") from None
 

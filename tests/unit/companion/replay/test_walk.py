@@ -130,7 +130,13 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
     ("text", "problem"),
     [
         ("", "line 1: missing column t_s"),
-        ("t_s,agent_x_m,agent_y_m,target_id\n", "line 1: needs a column range_m or bearing_rad"),
+        ("t_s,agent_x_m,agent_y_m,target_id\n", "line 1: missing column range_m or bearing"),
+        (
+            "time,lat,lon,target_id,range_ft\n0,47.1,8.2,A,3\n",
+            r"agent_y_m, range_m or .*; range_m = range_ft \* 0.3048; from degrees, .*cos\(lat0",
+        ),
+        ("t_s,x_ft,y_ft,target_id,bearing_deg\n", r"= bearing_deg \* pi / 180$"),
+        ("t_s,x_ft,y_ft,target_id,range_m\n", r"; agent_x_m = x_ft \* 0.3048; agent_y_m = y_ft"),
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,x,A,3\n", "line 2: agent_y_m is not"),
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,,3\n", "line 2: target_id is empty"),
         ("t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,A,3\nnan,1,2,A,3\n", "line 3: t_s must"),
