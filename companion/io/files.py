@@ -317,7 +317,7 @@ class BackgroundFile(WriterThread[bytes]):
             self._bytes = os.fstat(self._fd).st_size
         except OSError as error:
             raise CompanionError(
-                f"{path}: cannot be opened ({error.strerror}); choose another folder for the log"
+                f"{path}: cannot be opened ({error.strerror}); choose another log.directory"
             ) from error
         super().__init__(f"write {path.name}", MAX_QUEUED, GATHER_S)
         self.bytes_kept = self._bytes

@@ -253,11 +253,12 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
             directory.mkdir(parents=True)
         except FileExistsError as error:
             if not directory.is_dir():
-                raise CompanionError(f"{root}: not a directory; choose another folder") from error
+                text = f"{root}: not a directory; choose another log.directory"
+                raise CompanionError(text) from error
             suffix += 1
         except OSError as error:
             raise CompanionError(
-                f"{directory}: cannot be made ({error.strerror}); choose another folder"
+                f"{directory}: cannot be made ({error.strerror}); choose another log.directory"
             ) from error
         else:
             return directory
