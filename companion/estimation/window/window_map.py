@@ -380,6 +380,8 @@ class WindowMap:
                     break
         except np.linalg.LinAlgError:
             return None
+        if np.linalg.matrix_rank(A, hermitian=True) < len(A):  # its inverse is rounding alone
+            return None
         valley = Valley(
             partial(self._cost, rows, older=older),
             partial(self._profiled_cost, rows, mean, older=older),

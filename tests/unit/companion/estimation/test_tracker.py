@@ -413,3 +413,13 @@ def test_what_the_track_can_tell_is_a_live_value() -> None:
     assert turned is not None
     assert not turned.is_collinear
     assert turned.min_eigenvalue > straight.min_eigenvalue
+
+
+def test_a_straight_flight_towards_the_target_has_no_curvature_across_it() -> None:
+    """Its normal equations are singular but for rounding, of which no accuracy is made."""
+    tracker = TargetTracker(TrackerParams())
+    for step in range(30):
+        x_m, t_s = 0.25 * step, 0.5 * step
+        tracker.fuse(measured(t_s, x_m + 17.0), (x_m, 2.64, 0.0), t_s)
+    estimate = tracker.estimate(14.5)
+    assert estimate is None or estimate.state is not EstimateState.LOCALISED
