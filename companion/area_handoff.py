@@ -1,4 +1,4 @@
-"""The searched area for ground teams: GeoJSON, KML with an image, PNG, GPX, GeoTIFF, a sentence.
+"""Searched area for ground teams: GeoJSON, KML with an image, PNG, GPX, GeoTIFF and a sentence.
 
 GeoJSON (RFC 7946) has the outlines of 50, 80 and 95 % probability of detection, gaps and the track;
 CalTopo and ATAK read it. The KML 2.2 document lays `searched_area.png` on the ground
@@ -60,7 +60,7 @@ def area_files(flight: SearchedFlight, state: SearchState | None) -> dict[str, b
 
 
 def result_fields(flight: SearchedFlight, state: SearchState | None) -> dict[str, object]:
-    """Return `result.json` of a flight without a report; with one it is `searched` in there."""
+    """Return the content of `result.json` without a report, or of its key `searched` with one."""
     gaps = [] if state is None else gaps_of(state)
     model = flight.detection
     return {

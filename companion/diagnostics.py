@@ -15,12 +15,12 @@ threads are alive; a disk that hangs is not a reason to kill a flight), and the 
 
 Source: sd_notify(3), sd_watchdog_enabled(3); of the rule: NASA F Prime, Svc/Health, HTH-007.
 
-Real-time priority, even the lowest, goes before every program of normal priority, so that none of
-them makes a setpoint late. Only the main thread gets it: a thread or process that it starts begins
-with normal priority (SCHED_RESET_ON_FORK), so that log writers, the threads of numba and the live
-map do not compete with it. A computation that does not end would keep the shell and the network
-from that core; after `LONGEST_RUN_S` without a wait the kernel sends SIGXCPU, and the thread
-continues with normal priority.
+Real-time priority, even the lowest, has precedence over every program of normal priority, so that
+none of them delays a setpoint. Only the main thread gets it: a thread or process that it starts
+begins with normal priority (SCHED_RESET_ON_FORK), so that log writers, the threads of numba and the
+live map do not compete with it. A computation that does not end would keep the shell and the
+network from that core; after `LONGEST_RUN_S` without a wait the kernel sends SIGXCPU, and the
+thread continues with normal priority.
 
 Source: Linux sched(7) and getrlimit(2).
 """

@@ -195,7 +195,7 @@ class PositionAccuracy:
 
     @property
     def words(self) -> str:
-        """The horizontal accuracy in words."""
+        """The horizontal accuracy as text."""
         return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_reported else ', assumed'}"
 
 
@@ -285,7 +285,7 @@ class WaypointReason(Enum):
     """Planner's reason for a waypoint."""
 
     APPROACH = "approach"
-    """Fly at the estimate, on the way to its far side."""
+    """Fly towards the estimate, on the way to its far side."""
     CROSSING = "crossing"
     """Fly over the estimate to its far side for bilateral information."""
     INFORMATION = "information"
@@ -305,7 +305,7 @@ class Waypoint:
     position_enu_m: Point
     reason: WaypointReason
     detail: str = ""
-    """One phrase for the operator, for example the overshoot."""
+    """Short text for the operator, for example the overshoot."""
     altitude_offset_m: float = 0.0
     """Altitude relative to the search altitude, positive above it."""
     descent_m: float = 0.0

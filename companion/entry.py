@@ -1,4 +1,4 @@
-"""Entry of every command: a quiet Ctrl-C, and output that may lose its reader.
+"""Entry point of every command: quiet Ctrl-C, and output whose reader may disappear.
 
 Theory of operation. `... | head -1` closes the pipe while the command is still at work, perhaps in
 flight. Its output from then on is dropped; the command completes, and its exit code is the same as

@@ -23,7 +23,7 @@ class LinkError(CompanionError):
 
 
 class LocalProtocolError(CompanionError):
-    """Our own caller broke the protocol, for example by sending a setpoint with a NaN."""
+    """The calling code violated the protocol, for example by a setpoint with a NaN."""
 
 
 def how_to_install(*packages: str) -> str:

@@ -175,7 +175,7 @@ def build_endpoint(
     started_unix_s: float = 0.0,
     recorder: InputRecorder | None = None,
 ) -> CompanionEndpoint:
-    """Return the companion as a MAVLink participant.
+    """Return the companion's MAVLink endpoint.
 
     Without `tunables` its parameters are as configured; without `signing` frames are neither
     checked nor signed. `started_unix_s` is the time at the clock's zero, for the timestamps of

@@ -1,4 +1,4 @@
-"""A finding for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2), CoT and MGRS text.
+"""Emitter position for ground teams: GeoJSON (RFC 7946), KML 2.2 (OGC 07-147r2), CoT and MGRS text.
 
 GeoJSON and KML hold the position, its 95 % ellipse and the second position; Google Earth, ATAK and
 QGroundControl open the KML. Cursor on Target (CoT) is the format of TAK's maps, MGRS the grid text

@@ -48,7 +48,7 @@ def areas_of_plan(text: str) -> list[NamedArea]:
 
 
 def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return an object, and refuse a repeated key: of two fences only one could apply."""
+    """Return an object; raise `ValueError` for a repeated key: only one of two could apply."""
     found: dict[str, object] = {}
     for key, value in pairs:
         if key in found:

@@ -5,8 +5,8 @@ repeated keys (YAML keeps the last one silently), numbers that are not finite, t
 shown, and two traps of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
 
 msgspec stops at the first problem. Here the faulty value is removed and the rest is checked again,
-so that one run names every problem of a file, a line for each: of a wrong key with the one that was
-meant, of a wrong word with the words there are.
+so that one run names every problem of a file, one per line: a wrong key with the most similar
+one, a wrong choice with the valid ones.
 """
 
 from __future__ import annotations

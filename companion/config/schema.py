@@ -1,4 +1,4 @@
-"""The companion's configuration: the packages' own parameters, composed.
+"""The companion's configuration, composed of the packages' own parameters.
 
 Defaults live in the records; a file only contains differences. `load_config` also checks
 contradictions between records.
@@ -145,7 +145,7 @@ class LimitsConfig(Params, frozen=True):
 
 
 def _roomy(limits: LimitsConfig) -> Corners:
-    """Return a fence that is large enough for any margin, to check the other limits with."""
+    """Return a fence that is large enough for any margin, to check the other limits."""
     side_m = 10.0 * (limits.fence_margin_m + 1.0)
     return ((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m))
 
@@ -257,7 +257,7 @@ class PlannerConfig(Params, frozen=True):
 
 
 class CompanionConfig(Params, frozen=True):
-    """Everything that a configuration file can set."""
+    """All keys of a configuration file."""
 
     schema_version: Annotated[int, msgspec.Meta(ge=1, le=SCHEMA_VERSION)] = SCHEMA_VERSION
     """Version of these keys; files of earlier versions are read, and migrated to this one."""
@@ -276,7 +276,7 @@ class CompanionConfig(Params, frozen=True):
 
     @property
     def tracking(self) -> TrackerParams:
-        """`estimation`, with the calibration that the radios lack."""
+        """`estimation`, with the calibration state of the radios."""
         if not any(is_uncalibrated(radio) for radio in self.radios):
             return self.estimation.params()
         return msgspec.structs.replace(self.estimation.params(), is_range_calibrated=False)

@@ -35,7 +35,7 @@ from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteR
 MOST_CORNERS = 2000
 """Maximum number of corners of all polygons; with these the grid takes a quarter of a second."""
 MOST_RASTER_CELLS = 100 * MOST_CELLS
-"""Maximum number of raster cells, a hundred in each cell of the search; more add nothing."""
+"""Maximum number of raster cells, a hundred in each cell of the search; more have no effect."""
 
 
 def read_search_site(path: Path) -> SearchSite:

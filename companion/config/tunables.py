@@ -36,7 +36,7 @@ class Tunable:
     is_floor: bool = False
     """True if the file's value is the minimum."""
     words: tuple[str, ...] = ()
-    """The values of a choice, by number; nothing for a real number."""
+    """The values of a choice, by number; empty for a real number."""
 
     @property
     def spec(self) -> TunableSpec:
@@ -116,7 +116,7 @@ class Tunables:
         return [f"{name}{why}" for name, why in problems.items()]
 
     def _objection(self, name: str, values: Mapping[str, float]) -> str:
-        """Restore one value; return why that is refused, empty if it is not."""
+        """Restore one value; return the reason if it is refused, else an empty text."""
         index = next((n for n, tunable in enumerate(TUNABLES) if tunable.name == name), None)
         if index is None or TUNABLES[index].when is When.NEVER:
             return " is not a parameter that can be changed"

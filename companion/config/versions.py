@@ -42,7 +42,7 @@ _PATTERNS = tuple(_SETTINGS_OF)
 
 
 def _merge_to_2(raw: dict[str, Any]) -> list[str]:
-    """Bring the one emitter, the checkpoint's switch and the pattern in use to their keys."""
+    """Move the single emitter, the checkpoint's switch and the pattern to their new keys."""
     emitter_id = raw.pop("emitter_id", None)
     if emitter_id is not None:
         queue = raw.setdefault("emitters", {})
@@ -131,10 +131,10 @@ GONE: Mapping[str, Gone] = {
 
 
 def renew(raw: dict[str, Any], name: str) -> list[str]:
-    """Bring plain values of the file `name` to the current schema, in place.
+    """Migrate plain values of the file `name` to the current schema, in place.
 
-    Returns the paths of keys that are gone and had their default. Raises `ConfigError` for an
-    unknown version and for other values of keys that are gone.
+    Returns the paths of removed keys that had their default. Raises `ConfigError` for an unknown
+    version and for other values of removed keys.
     """
     version = raw.get(KEY, 1)
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
@@ -149,7 +149,7 @@ def renew(raw: dict[str, Any], name: str) -> list[str]:
 
 
 def _drop(raw: dict[str, Any], name: str) -> list[str]:
-    """Delete keys that are gone and had their default, with sections that they leave empty."""
+    """Delete removed keys that had their default, and sections that become empty."""
     dropped = [path for path in GONE if is_in(raw, path)]
     for path in dropped:
         gone = GONE[path]

@@ -92,7 +92,7 @@ class LinkFacts:
     unproved_frames: int
     """Frames that signing refused; 0 without a key."""
     resident_mb: float | None = None
-    """Memory of this process while it listened, with everything that a flight loads."""
+    """Memory of this process while it listened, with all modules of a flight loaded."""
     processor_pct: float | None = None
     """Load of one core by receiving the streams, in percent."""
 

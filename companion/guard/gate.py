@@ -1,4 +1,4 @@
-"""The gate: every setpoint passes here, and no other code makes one. Standard library only.
+"""Guard of setpoints, the only code that makes one. Standard library only.
 
 Theory of operation. The autopilot obeys a setpoint as it is (PX4 accepted x = 1e9 and flew), and an
 ArduPilot position target never times out. So the setpoint is a carrot: it starts at the vehicle, at
@@ -11,11 +11,11 @@ end of its way. Every setpoint that moves satisfies
   at the arrival of the setpoint;
 - it is no farther from home than the leash and the battery allow, or nearer than it was.
 
-A step that violates one of these is not made: the setpoint stays where it was, which was safe. Each
-setpoint is therefore safe to be the last one that is ever sent. The stream restarts at the vehicle,
-at rest, in the band, when its setpoint cannot be reached: its position jumped, it is too fast to
-stop at a border, or the path is not free. From outside, or from the margin, the setpoint is moved
-in on the shortest path, no farther out than the vehicle.
+A step that violates one of these is not made: the setpoint stays at its previous, safe position.
+Each setpoint is therefore safe to be the last one that is ever sent. The stream restarts at the
+vehicle, at rest, in the band, when its setpoint cannot be reached: its position jumped, it is too
+fast to stop at a border, or the path is not free. From outside, or from the margin, the setpoint is
+moved in on the shortest path, no farther out than the vehicle.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class _Step:
 
 
 class Guard:
-    """Turns goals into setpoints."""
+    """Converts goals into setpoints that are safe to be the last."""
 
     def __init__(self, limits: GuardLimits) -> None:
         self.use(limits)
@@ -267,7 +267,7 @@ class Guard:
     def _walked(
         self, why: tuple[GuardReason, ...], step: _Step, goal: Point, fence: Fence
     ) -> Guarded:
-        """Return the next setpoint straight on to `goal`; the vehicle if it went astray."""
+        """Return the next setpoint on the line to `goal`, or the vehicle if it is off that line."""
         left_m = math.dist(step.start, goal)
         velocity = self._velocity(step, goal, fence)
         position = ahead(step.start, velocity, step.dt_s)

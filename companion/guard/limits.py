@@ -4,7 +4,7 @@ Fence. A setpoint is inside of all polygons that apply and outside of every keep
 
 Motion. All limits are by elapsed time, and a late tick moves no farther than a slow one.
 
-Stopping. A vehicle that gets a stop flies on for the latency of the link, then brakes, and its
+Stopping. A vehicle that is to stop continues for the latency of the link, then brakes, and its
 position has an error: v t + v^2 / 2a + 3 sigma. The first two are in the direction of motion; the
 last is a distance to keep on all sides.
 
@@ -45,7 +45,7 @@ class Fence:
     """Area left by the fence, the keep-outs and the margin."""
 
     def __post_init__(self) -> None:
-        """Refuse polygons that enclose nothing, and a fence that leaves nothing usable."""
+        """Raise `ValueError` for polygons without area, and for a fence without usable area."""
         check_corners((self.polygon_enu_m, *self.keep_out_enu_m, *self.also_inside_enu_m))
         for polygon in (self.polygon_enu_m, *self.also_inside_enu_m):
             check_polygon("fence", polygon, LEAST_FENCE_M2)
@@ -91,7 +91,7 @@ class Fence:
 
 
 MAX_TICK_S = 0.2
-"""A tick that comes later than this moves the setpoint no farther than one of this length."""
+"""Longest control period by which a setpoint moves; a later tick moves it no farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ class Envelope:
     """Lead over the vehicle beyond which the setpoint moves no faster than the vehicle."""
 
     def __post_init__(self) -> None:
-        """Refuse limits that contradict each other."""
+        """Raise `ValueError` for contradicting limits."""
         for name in ("speed_mps", "climb_mps", "acceleration_mps2", "step_m"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: must be a finite number above 0")
@@ -144,7 +144,7 @@ class Stopping:
     """Distance to keep from every border, moving or not."""
 
     def __post_init__(self) -> None:
-        """Refuse values that are not finite, negative, or without deceleration."""
+        """Raise `ValueError` for invalid values."""
         if not 0.0 <= self.latency_s < math.inf:
             raise ValueError("latency_s: must be a finite number and not negative")
         if not 0.0 < self.deceleration_mps2 < math.inf:
@@ -177,7 +177,7 @@ FULL_PCT = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Reserve:
-    """Charge needed to come back.
+    """Battery charge reserved for the way home.
 
     A `ValueError` begins with the limit's name: the reserve must be a share of the battery, and the
     cost positive.
@@ -189,7 +189,7 @@ class Reserve:
     """Charge for a kilometre of the way home, into the wind."""
 
     def __post_init__(self) -> None:
-        """Refuse values that are not finite or reserve nothing."""
+        """Raise `ValueError` for invalid values."""
         if not 0.0 <= self.reserve_pct < FULL_PCT:
             raise ValueError("battery_reserve_pct: must be from 0 to below 100")
         if not 0.0 < self.cost_pct_per_km < math.inf:

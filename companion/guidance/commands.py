@@ -1,4 +1,4 @@
-"""Commands of the session, which the link turns into messages; its parameters and their tuning.
+"""Commands of the session, which the link converts to messages, and its parameters.
 
 Tuning changes how the mission is flown, never where: fence, keep-outs and the altitude band are
 read-only. A change arrives as whole records that were checked together, and takes effect with the
@@ -22,7 +22,7 @@ from companion.planning.planner import Planner
 
 
 class Severity(Enum):
-    """MAV_SEVERITY of a text."""
+    """Severity of a text, as MAV_SEVERITY."""
 
     ERROR = 3
     WARNING = 4
@@ -90,7 +90,7 @@ class Announce:
     topic: Topic | str | None = None
     """Subject of the state that the text describes, such as a radio's name; None: an event."""
     must_pass: bool = False
-    """True if the rate limit does not apply: control begins or ends, or a find or a grant."""
+    """True if the rate limit does not apply: control begins or ends, a report, or a grant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +102,9 @@ class ReportResult:
     longitude_deg: float | None
     emitter_id: int | None = None
     origin: LocalOrigin | None = None
-    """Zero of the estimate's frame."""
+    """Origin of the estimate's frame; None: unknown."""
     budget_m: Mapping[str, float] = field(default_factory=dict)
-    """R95 in metres after each term that widens it, by the term's name."""
+    """R95, m, accumulated after each widening term, by the term's name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,8 @@ from companion.guidance.phases import IN_CONTROL, OUT_OF_CONTROL, Phase, Trigger
 from companion.guidance.vehicle import VehicleView
 
 REGAIN_QUIET_S = 2.0
-"""Time for which HEARTBEATs must show another mode without a failsafe before it counts as chosen.
+"""Time for which HEARTBEATs must show another mode without a failsafe before it is taken as
+selected.
 
 PX4 may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be in transit.
 """

@@ -91,12 +91,12 @@ class EmitterQueue:
         self.search_prior: Callable[[], SearchPrior | None] = lambda: None
         """Source of the prior of an emitter at its first measurement."""
         self._deferred: list[int] = []
-        """Emitters that were current and got lost, the longest ago first."""
+        """Emitters that were current and were lost, oldest loss first."""
         self._sensor_en_m: Point = (0.0, 0.0)
         listed = {number: TargetTracker(trackers, number) for number in self.params.listed}
         self._trackers = {} if self.is_single else listed
         self.current = next(iter(listed.values()), TargetTracker(trackers))
-        """Filter of the emitter that is searched for now."""
+        """Filter of the current emitter."""
 
     @classmethod
     def of(cls, tracker: TargetTracker) -> EmitterQueue:

@@ -166,7 +166,7 @@ class SetpointEchoed(Event):
 
 @dataclass(frozen=True, slots=True)
 class OtherCommandHeard(Event):
-    """Another system commands the autopilot to fly somewhere, by a command that it forwarded."""
+    """Flight command of another system to the autopilot, received because it was forwarded."""
 
     command: str
     sender: tuple[int, int]
@@ -174,7 +174,7 @@ class OtherCommandHeard(Event):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorStatusReported(Event):
-    """The autopilot's verdict on its own estimate."""
+    """The autopilot's assessment of its own estimate."""
 
     worst: float
     """Largest test ratio; at 1 and more the autopilot's own check would call the estimate poor."""
@@ -388,12 +388,12 @@ class ControlStalled(Event):
 
 @dataclass(frozen=True, slots=True)
 class StopRequested(Event):
-    """The process is asked to end."""
+    """Request to end the process."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessMessage(Event):
-    """Text of the process for the operator: about its log, its timing, its restart."""
+    """Text of the process for the operator, about its log, timing or restart."""
 
     severity: Severity
     text: str
@@ -422,7 +422,7 @@ class IdConflictHeard(Event):
 
 @dataclass(frozen=True, slots=True)
 class IdentityDoubted(Event):
-    """Frames with the autopilot's ids may be another vehicle's, or that doubt is over."""
+    """Doubt that frames with the autopilot's ids are the vehicle's, or its end."""
 
     problem: str | None
     """Description of the problem; None if the identity is no longer doubted."""

@@ -42,7 +42,7 @@ from companion.guard.limits import Envelope, Fence
 from companion.guidance.events import AutopilotFenceRead, FenceLimits
 
 TOLERANCE_M = 1.0
-"""Largest distance between two borders that count as the same."""
+"""Largest distance between two borders that are regarded as equal."""
 MAX_STEP_M = 1000.0
 """Longest step of an origin that is a better fix; beyond it the origin is that of another site."""
 

@@ -106,7 +106,7 @@ class Handover:
             self._note_other_mode(event)
 
     def leave(self, why: str, now_s: float) -> None:
-        """Stop sending: the autopilot on the link is not, or no longer, the vehicle handed over."""
+        """Stop sending: the autopilot on the link is not the vehicle that was handed over."""
         context, left = self._context, self._context.authority.phase
         if not context.enter(Trigger.NOT_OURS, now_s):
             return
@@ -291,7 +291,7 @@ class Handover:
         return Finding(Verdict.HOLD, Reason.MODE_UNKNOWN, Reason.MODE_UNKNOWN.value)
 
     def hand_back(self, finding: Finding, now_s: float) -> None:
-        """Start the hand-back: the fault does not pass, so the autopilot shall fly by itself."""
+        """Start the hand-back: the fault persists, so the autopilot must fly by itself."""
         context = self._context
         if not context.enter(Trigger.HAND_BACK, now_s):
             return

@@ -31,7 +31,7 @@ BLIND_S = 10.0
 """Time without mode, position or link after which the launch is aborted."""
 CLIMBED_SHARE = 0.9
 TOP_M = 1.0
-"""PX4's takeoff may end this far below its altitude (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
+"""Largest undershoot of PX4's takeoff altitude (NAV_MC_ALT_RAD, 0.8 m, and noise)."""
 PX4_MODES = frozenset({FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.READY})
 """Modes of an armed PX4 during a launch; ArduPilot holds only when a person selects it."""
 LIFTED_M, LIFT_S = 1.0, 8.0
@@ -73,7 +73,7 @@ class LaunchView:
 
 
 class Launch:
-    """One attempt to get into the air, `altitude_m` above home, and into offboard."""
+    """One attempt to take off to `altitude_m` above home and enter offboard."""
 
     def __init__(self, altitude_m: float, started_s: float) -> None:
         self.altitude_m = altitude_m
@@ -227,7 +227,7 @@ class Launch:
 
     @staticmethod
     def _launch_mode(heartbeat: HeartbeatReceived) -> FlightMode | None:
-        """Return the mode to arm in, or None if the current one will do."""
+        """Return the mode to arm in; None if the current one suffices."""
         if heartbeat.autopilot is Autopilot.ARDUPILOT:
             return None if heartbeat.mode is FlightMode.OFFBOARD else FlightMode.OFFBOARD
         usable = (FlightMode.HOLD, FlightMode.TAKEOFF)

@@ -139,7 +139,7 @@ class RateLimited:
         self._announced_s: dict[Hashable, float] = {}
 
     def is_due(self, what: Hashable, now_s: float) -> bool:
-        """Return True if an item is due now; it then counts as sent."""
+        """Return True if an item is due now; it is then recorded as sent."""
         announced_s = self._announced_s.get(what)
         if announced_s is not None and now_s - announced_s < self._period_s:
             return False
@@ -183,7 +183,7 @@ class StateMessages:
         return replace(estimate, state=announced) if is_calmer else estimate
 
     def is_due(self, estimate: TargetEstimate, now_s: float, settle_s: float) -> bool:
-        """Return True if the state of a new estimate is due; it then counts as announced."""
+        """Return True if the state of a new estimate is due; it is then recorded as announced."""
         state = self.shown(estimate, now_s, settle_s).state
         is_new = state is not self._announced
         if state is estimate.state:

@@ -1,7 +1,7 @@
 """Control authority as a transition table.
 
 Theory of operation. The companion commands only while the autopilot is in offboard mode *and* the
-operator selected that mode; every other phase either prepares for this or keeps out of the way.
+operator selected that mode; every other phase either prepares for this or is silent.
 
     WAITING    no autopilot, or no usable position, home or fence yet, or a second companion sends
                under our ids. Silent.

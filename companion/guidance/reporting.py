@@ -3,9 +3,9 @@
 A target counts as found once the stop rule is met. Targets are reported as they are found, or
 because the battery is low or the search over.
 
-Theory of operation of the stop rules. Random errors fall with the number of measurements; errors of
-a position or of the whole flight do not: the height of the ground, GNSS, walls that stay where they
-are. So R95 settles at a radius that depends on the radio, the antenna and the site, and cannot be
+Theory of operation of the stop rules. Random errors fall with the number of measurements; errors
+that are constant over a position or a flight do not: ground height, GNSS, reflections from walls.
+So R95 settles at a radius that depends on the radio, the antenna and the site, and cannot be
 predicted. If that is above the radius to stop at, further crossings bring no information.
 """
 
@@ -25,7 +25,7 @@ from companion.guidance.phases import FLYING, IN_CONTROL, Phase, Trigger
 
 
 class StopRule:
-    """Met once the estimate names one position within a radius for long enough without a break."""
+    """Met once the estimate has one position within a radius for long enough without a break."""
 
     def __init__(self) -> None:
         self._since_s: float | None = None
@@ -48,9 +48,9 @@ class StopRule:
 
 
 IMPROVED_SHARE = 0.92
-"""R95 that is not below this share of its mark has not improved."""
+"""Share of the mark below which R95 has improved."""
 WORSE_RATIO = 1.5
-"""R95 that has grown by more sets a new mark: measurements contradicted the old one."""
+"""Growth of R95 that sets a new mark, because measurements contradicted the old one."""
 MOST_SETTLED_M = 100.0
 """R95 above which no position is reported, unless `localised_r95_m` is larger."""
 ONE_POSITION = (EstimateState.LOCALISED, EstimateState.SEARCHING)
@@ -102,7 +102,7 @@ class SettledRule:
 
 
 SAME_LEG_M = 1.0
-"""Longest move of a waypoint that is the same one, refined."""
+"""Longest move of a waypoint that is only a refinement of it."""
 REACHED_M = 3.0
 FINAL_AGAIN_S = 5.0
 """Period of the requests, longer than one takes with all its repetitions."""

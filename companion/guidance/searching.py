@@ -1,12 +1,11 @@
 """Area searched by the radio since take-off, for emitters that are sought and were not heard.
 
-All of them share one map: until an emitter is heard, its map is the same as that of the others, and
-afterwards its position is known better. So counting ends once none is sought any more: in a search
-for one emitter at the first accepted measurement.
+All of them share one map, because it is the same for every emitter that was not heard. Counting
+ends once none is sought any more: in a search for one emitter at the first accepted measurement.
 
-Time counts under the pilot's control as well: the radio listens then, too. It counts while the
-vehicle is in the air with a current, trusted position. Positions are kept in the frame of the first
-origin. The work on the cells is done in pieces, one a control tick.
+Time under the pilot's control is included, because the radio listens then, too. It is counted while
+the vehicle is in the air with a current, trusted position. Positions are kept in the frame of the
+first origin. The work on the cells is done in pieces, one a control tick.
 """
 
 from __future__ import annotations
@@ -43,13 +42,13 @@ TRACK_STEP_M = 5.0
 WORTH_REPORTING_S = 10.0
 """Time before contact below which a flight does not count as a search."""
 WORTH_REPORTING_SHARE = 0.01
-"""Probability outside of the fence that is worth a warning."""
+"""Probability outside of the fence above which the operator is warned."""
 STATE_EVERY_S = 2.0
 """Time between two updates of the probabilities."""
 
 
 class Searching:
-    """Accumulates the searched area of one flight; without a model of detection, its track."""
+    """Accumulates the searched area of one flight; without a detection model only its track."""
 
     def __init__(
         self,
@@ -100,7 +99,7 @@ class Searching:
 
     @property
     def is_worth_reporting(self) -> bool:
-        """True if it searched long enough for a report."""
+        """True if the search lasted long enough to be reported."""
         return self.listened_s >= WORTH_REPORTING_S
 
     @property

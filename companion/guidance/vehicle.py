@@ -127,7 +127,7 @@ class ModeWatch:
 STALE_STATE_S = 0.5
 """Longest age of a vehicle position that is used for guidance."""
 LINK_LOST_S = 1.0
-"""Time without any valid frame of the autopilot after which the link counts as lost."""
+"""Time without any valid frame of the autopilot after which the link is lost."""
 LANDED_PATIENCE_S = 3.5
 """Longest age of EXTENDED_SYS_STATE, seven of the requested periods."""
 MIN_STEP_M = 0.05
@@ -301,7 +301,7 @@ class VehicleView:
 
     @property
     def is_ours(self) -> bool:
-        """True if it obeys setpoints: armed and in offboard."""
+        """True if the vehicle obeys our setpoints: armed and in offboard."""
         return self.is_armed and self.mode is FlightMode.OFFBOARD
 
     @property
@@ -329,8 +329,8 @@ class VehicleView:
     def wants_prestream(self) -> bool:
         """True if setpoints must flow before offboard can be entered.
 
-        PX4 refuses the mode without them. ArduPilot needs none, and a stream that still runs would
-        act at once when GUIDED returns.
+        PX4 refuses the mode without them. ArduPilot needs none, and would follow a running stream
+        at once when GUIDED returns.
         """
         return self.heartbeat is not None and self.heartbeat.autopilot is not Autopilot.ARDUPILOT
 

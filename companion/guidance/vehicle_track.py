@@ -31,12 +31,12 @@ from companion.guidance import events
 from companion.guidance.events import AccuracySource, PositionAccuracyReported
 
 HISTORY_S = 3.0
-"""Longest delay of a measurement."""
+"""Longest delay of a measurement; older states are dropped."""
 MAX_EXTRAPOLATION_S = 0.3
 """Longest extrapolation beyond the newest state."""
 MAX_SPEED_MPS = 300.0
 MAX_GAP_S = 1.0
-"""Two states farther apart than this are not interpolated between."""
+"""Longest time between two states that are interpolated."""
 
 
 class VehicleTrack:

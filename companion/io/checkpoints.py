@@ -5,8 +5,8 @@ A checkpoint is one of two files that are written alternately, with a checksum:
     magic (4)  version (2)  zero (2)  length of the payload (4)  payload  CRC-32 of all before (4)
 
 Little-endian; the payload is MessagePack. A file that is truncated, has a flipped bit (CRC-32
-detects every burst of up to 32 bits), or comes from another version is refused as a whole: half a
-memory is worse than none.
+detects every burst of up to 32 bits), or comes from another version is refused as a whole: a
+partial memory is worse than none.
 
 A checkpoint replaces the older of the two files (`files.write_bytes_atomic`, in a thread of its
 own), so that neither a power cut nor a kill can lose both. A reader takes the newest valid one.
@@ -49,7 +49,7 @@ class CheckpointError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A time that can be compared across restarts of the process, and of the computer."""
+    """A time that can be compared across restarts of the process and the computer."""
 
     unix_s: float
     """Wall-clock time, which may jump."""
@@ -141,7 +141,7 @@ def age_s(then: Moment, now: Moment) -> float | None:
 
 
 def _plain(value: object) -> object:
-    """Return a numpy scalar, which arithmetic leaves here and there, as Python's own type."""
+    """Return a numpy scalar as Python's own type; raise `TypeError` for others."""
     if isinstance(value, float | int):
         return float(value) if isinstance(value, float) else int(value)
     raise TypeError(f"a checkpoint holds no {type(value).__name__}")
@@ -177,7 +177,7 @@ class StoredCheckpoints:
     """Checkpoint that an earlier process left behind."""
 
     has_files: bool
-    """True if there were any files, readable or not: then an earlier run did not end in order."""
+    """True if there were any files, readable or not: an earlier run ended uncleanly."""
     checkpoint: Checkpoint | None
     problems: tuple[str, ...] = ()
     """Problems of files that could not be used, a line each."""

@@ -194,7 +194,7 @@ class SharedClock(Clock):
     def delay_s(self, until_s: float) -> float:
         """Wall seconds until this clock may show `until_s`, at most the leeway.
 
-        Does not count as a sign of life: a process is awake when it reads the time, once a wake-up.
+        The process is not noted as awake by this, only by reading the time.
         """
         left_s = until_s - (self._flight_s(time.monotonic()) - self._zero_s)
         return min(max(0.0, left_s), LEEWAY_S / 2.0) / self.speed
@@ -254,7 +254,7 @@ class Pacer(SharedClock):
         return self._counted_s(flight_s)
 
     def excuse(self) -> None:
-        """Wait for no other process until it wakes up again."""
+        """Exclude all other processes from the waiting until they wake up again."""
         _WOKEN.pack_into(self._memory, _ANCHOR.size, *[0.0] * PEERS)
 
     def _judge(self, wall_s: float, flight_s: float) -> None:

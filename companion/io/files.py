@@ -1,4 +1,4 @@
-"""Files read or replaced whole, the names of those of a flight, and threads that write.
+"""Files read or replaced as a whole, names of flight files, and threads that write output.
 
 `WriterThread` empties a bounded queue. A full one (a disk, a terminal or a pipe that hangs) loses
 items, which are counted, and never raises or blocks the caller.

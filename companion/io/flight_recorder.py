@@ -74,7 +74,7 @@ class BlackBox:
         _show(severity, text, now_s)
 
     def result(self, report: ReportResult, now_s: float) -> None:
-        """Show the result, which is stored nowhere."""
+        """Show the result without storing it."""
         _show(Severity.NOTICE, f"result: {plain(report)}", now_s)
 
     @property
@@ -230,7 +230,7 @@ class FlightJournal(BlackBox):
             log.warning("%s: lost to a slow or full disk: %s", self.directory, self._losses())
 
     def _losses(self) -> str:
-        """Return the names of the logs with gaps, and from when on entries are missing."""
+        """Return the names of the logs with gaps, and the times at which the gaps begin."""
         since = [(each, each.lost_since_s) for each in self._logs]
         words = [
             f"{each.dropped} entries of {each.path.name} after {at_s - self._began_s:.0f} s"

@@ -1,4 +1,4 @@
-"""MCAP, the log that Foxglove opens: estimate, poses, residuals, texts, frames and inputs.
+"""MCAP log for Foxglove: estimate, poses, residuals, texts, frames and inputs.
 
 Theory of operation. The flight puts values into a bounded queue; one thread turns them into
 messages and writes them. A full queue loses messages, which are counted, and never delays the

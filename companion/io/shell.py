@@ -82,7 +82,7 @@ CATCH_UP_S = 0.1
 MIN_TIMER_S = 0.001
 """Shortest wait, so that an endpoint that is always due does not take the whole processor."""
 MAX_TIMER_S = 3600.0
-"""The loop refuses timers of many days; waking up once an hour costs nothing."""
+"""Longest timer: the loop refuses timers of many days, and an hourly wake-up costs nothing."""
 
 GATHER_S = 0.002
 """Wait for the rest of a burst: a cycle's messages come within 1 ms, cycles 4 to 20 ms apart."""
@@ -197,7 +197,7 @@ class Shell:
         self._arrived: list[Chunk] = []
         """Chunks that were read and not handed over yet."""
         self._handed_s = 0.0
-        """Latest time that the endpoint has got."""
+        """Latest time passed to the endpoint."""
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -369,7 +369,7 @@ class Shell:
                 signal.signal(number, self._without_echo(handler))
 
     def _without_echo(self, handler: SignalHandler) -> SignalHandler:
-        """Return the handler for the time after the run, which an echo of its signal is not for."""
+        """Return the handler for after the run, which ignores an echo of the same signal."""
         signalled_s = self._signalled_s
         if signalled_s is None:
             return handler

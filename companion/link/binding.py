@@ -6,11 +6,11 @@ the operator's choice. Of one system, component 1 is preferred. After a restart 
 vehicle is bound at once, if ids and boot clock continue.
 
 The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
-position and sequence (`companion.link.identity`). Frames that contradict it are withheld, and
-`problem` describes the doubt; it ends when the old course continues alone. An address may change,
-as after a router's restart, if the course continues at the new one, with the same hardware id. A
-course that continues there without a gap is followed at once. While the companion has no control,
-and the vehicle is not one that it left in the air, another autopilot may replace one that vanished.
+position and sequence (`companion.link.identity`). Contradicting frames are withheld, and `problem`
+describes the doubt, which ends when the old course continues alone. An address may change, as after
+a router's restart, if the course continues at the new one, with the same hardware id. A course that
+continues there without a gap is followed at once. While the companion has no control, and the
+vehicle is not one that it left in the air, another autopilot may replace one that vanished.
 
 Source: MAVLink developer guide, "MAVLink Id Assignment" (listen for two systems for 3 s) and
 "Heartbeat/Connection Protocol".
@@ -151,7 +151,7 @@ class AutopilotBinding:
         return self._compare_vehicle(message, now_s) and not self.is_doubted
 
     def _compare_vehicle(self, message: Message, now_s: float) -> bool:
-        """Check the kind, hardware or clock in a message without a sign; False: do not use it."""
+        """Check type, hardware id or clock in a message; return False if it must not be used."""
         uid, exchange = uid_of(message), exchange_sign_of(message)
         if uid is not None and self.hardware.differs(uid, now_s):
             self._take_other_hardware(uid, now_s)
@@ -260,7 +260,7 @@ class AutopilotBinding:
 
     @property
     def _is_of_choice(self) -> bool:
-        """True if the problem is that an id has to be chosen, not that frames are doubted."""
+        """True if an id has to be configured, rather than frames doubted."""
         return self.problem is not None and self.problem.startswith("systems ")
 
     def _bind(self, candidate: Candidate) -> None:

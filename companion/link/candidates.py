@@ -1,8 +1,8 @@
 """Autopilots heard on the vehicle link, one of which is bound.
 
 Every HEARTBEAT of an autopilot makes its sender a candidate; stations, gimbals, cameras, companion
-computers and other senders that fly nothing are kept apart, for texts. A candidate that was silent
-for long has vanished. Forged frames can invent any number of senders, so only some are kept.
+computers and other senders that are not autopilots are kept apart, for texts. A candidate that was
+silent for long has vanished. Forged frames can invent any number of senders, so only some are kept.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class Candidate:
 
 @dataclass(slots=True)
 class Candidates:
-    """Candidates of one link, and the senders of its HEARTBEATs that fly nothing."""
+    """Candidates of one link, and other senders of HEARTBEATs on it."""
 
     unfit: dict[Ids, int] = field(default_factory=dict)
-    """Senders of HEARTBEATs that fly nothing, and their MAV_TYPE."""
+    """Senders of HEARTBEATs that are not autopilots, and their MAV_TYPE."""
     known: dict[Ids, Candidate] = field(default_factory=dict)
     ticked_s: float | None = None
     """Time of the last control tick, before which all waiting input was read."""
@@ -82,7 +82,7 @@ class Candidates:
         return [each for each in self.known.values() if not self.has_vanished(each.heard_s, now_s)]
 
     def listened_s(self, heard_s: float, now_s: float) -> float:
-        """Return the time since a frame, without a stall after it, whose frames still wait."""
+        """Return the time since a frame, s, less a stall after it, whose frames are unread."""
         return (now_s if self.ticked_s is None else self.ticked_s) - heard_s
 
     def has_vanished(self, heard_s: float, now_s: float) -> bool:
@@ -90,7 +90,7 @@ class Candidates:
         return self.listened_s(heard_s, now_s) > VANISHED_S
 
     def unfit_names(self) -> list[str]:
-        """Return senders of HEARTBEATs that fly nothing, as ids and kind."""
+        """Return senders of HEARTBEATs that are not autopilots, as ids and type."""
         return [
             f"{system}/{component} ({result_words('MAV_TYPE', number, 'MAV_TYPE_')})"
             for (system, component), number in sorted(self.unfit.items())

@@ -1,4 +1,4 @@
-"""Companion as a MAVLink participant: bytes and time in, bytes out.
+"""The companion as a MAVLink endpoint: bytes and time in, bytes out.
 
 The endpoint only joins its parts. On the way in there are two stages before guidance. The intake of
 a link enforces a budget and verifies signatures before anything is decoded. Then the role of the
@@ -352,7 +352,7 @@ class CompanionEndpoint:
             self._note_other_command(message, now_s)
 
     def _may_move_aside(self) -> bool:
-        """True if the component id may change: it is not configured, and we have no vehicle."""
+        """True if the component id may change: not configured, and no vehicle in control."""
         is_before = self.session.phase in (Phase.WAITING, Phase.STANDBY)
         is_free = self._params.link.component_id is None and not self.binding.is_committed
         return is_free and is_before

@@ -55,7 +55,7 @@ from companion.mav.signing import (
 
 
 class RateLimit:
-    """Token bucket: `burst` at once and then `per_s` a second; refusals are counted."""
+    """Token bucket: `burst` at once, then `per_s` per second; refusals are counted."""
 
     def __init__(self, per_s: float, burst: int = 1) -> None:
         self.refused = 0

@@ -62,7 +62,7 @@ class RadioSettings(Params, frozen=True):
     range_max_m: Positive | None = None
     """Longest corrected range; a longer one is refused; null: by `AcceptanceParams`, 2 km."""
     zero: Literal["refuse", "accept"] = "refuse"
-    """Treatment of a range of exactly 0: most radios report it where nothing was measured."""
+    """Treatment of a range of exactly 0, which most radios report if nothing was measured."""
     range_sigma_m: Positive | None = None
     """Sigma where the radio reports none, and its lower limit; null: the estimation's."""
 
@@ -270,7 +270,7 @@ class EndpointParams:
 
 
 class Journal(Protocol):
-    """Receiver of reports; never raises and never blocks."""
+    """Log of the endpoint; never raises and never blocks."""
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Record a raw frame, received or sent on the vehicle link, or received on another."""

@@ -25,7 +25,7 @@ RESEND_S = 0.5
 SENDS = 4
 IN_PROGRESS_S = 3.0
 MAX_PROGRESS_S = 10.0
-"""Time after which an autopilot that only reports progress counts as not answering."""
+"""Time after which an autopilot that only reports progress is taken as not answering."""
 
 Ids = tuple[int, int]
 CommandMessage = mavlink.MAVLink_command_long_message

@@ -63,7 +63,7 @@ class Presence:
         """Phase at the latest report."""
 
     def report(self, now_s: float, *, has_text: bool) -> None:
-        """Announce a change of phase that no text came with, and send the reports that are due."""
+        """Announce a change of phase that had no text, and send the reports that are due."""
         phase = self._session.authority.phase
         if phase is not self.phase and not has_text:
             words = PHASE_WORDS.get(phase, phase.value)

@@ -10,7 +10,7 @@ The control tick runs 20 times a second, and 50 on a lossy line: at 30 % loss th
 hours between two setpoints that arrive is over half a second at 20 Hz, and under 0.4 s at 50 Hz;
 PX4 gives up after 1 s. The loss is that of the autopilot's own frames: the loss on the way to it is
 not reported, and radios lose both ways. A late tick is not made up for. A very late one is a stall:
-all knowledge is out of date, and so are setpoints.
+the vehicle's state and the setpoints are out of date.
 
 The shield against floods accepts only the autopilot, by a filter of the shell and the kernel
 (`companion.io.links.udp`). It is up only while unknown peers exceed their budget, because otherwise
@@ -101,9 +101,9 @@ class SequenceMonitor:
         return number
 
     def excuse(self, count: int) -> None:
-        """Count frames that came between others, but could not be verified, as not lost.
+        """Exclude frames that arrived but could not be verified from the loss.
 
-        They are of messages that the dialect lacks, as of an autopilot newer than it.
+        They are of messages that the dialect lacks, as from a newer autopilot.
         """
         if self._buckets:
             self.received += count

@@ -1,10 +1,10 @@
-"""Common stage after every radio's decoder: from readings to measurements.
+"""Common stage behind every radio's decoder: from readings to measurements.
 
 Theory of operation. A decoder reports in the radio's own convention; everything that depends on the
 site and not on the format is done here, once: names of emitters to ids, offset and scale of ranges,
 sign and mount of bearings, the field of view, default sigmas, the device's clock, and the detection
-of stuck or repeated readings. Refusals are counted by reason, and half a reading is kept where only
-the other half is refused.
+of stuck or repeated readings. Refusals are counted by reason, and the valid part of a partly
+refused reading is kept.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 A radio with a format of its own has a decoder in `companion.radios`, and `RadioStage` as its
 source. For MAVLink, RADIO_RANGING is our own message; LANDING_TARGET of type RADIO_BEACON and
 RANGING_BEACON are read as well. Degrees, millimetres, NED and the sentinels (NaN, UINT8_MAX,
-UINT32_MAX) are converted here. Infinities and absurd numbers pass on purpose: rejecting them, with
-a counted reason, is the tracker's task.
+UINT32_MAX) are converted here. Infinities and absurd numbers pass on purpose: the tracker rejects
+them and counts the reason.
 
 Rates. A measurement costs the flight computer a fraction of a millisecond before it is fused, so
 that a sender at 1 kHz would take half of a core. Measurements beyond the rate are dropped as they

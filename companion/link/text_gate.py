@@ -1,4 +1,4 @@
-"""Gate of all texts for the operator: each cause at most once in a period, within a budget.
+"""Gate of all operator texts: each cause at most once in a period, within a byte budget.
 
 Theory of operation. The cause of a text is its wording without numbers, and without the list of
 missing inputs. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it

@@ -98,13 +98,13 @@ class LatchedCrossingParams(Params, frozen=True):
     overshoot_min_m: Distance = 2.0
     overshoot_max_m: Distance = 20.0
     arrival_radius_m: ClassVar[float] = 1.5
-    """The crossing point counts as reached within this distance."""
+    """Distance within which the crossing point is reached."""
     reaim_distance_m: ClassVar[float] = 3.0
     """A move of the estimate by more than this, or half the overshoot, re-aims the crossing."""
     altitude_swing_m: NonNegative = 0.0
     """Crossings are flown alternately this much above and below the search altitude; 0: level."""
     descend: bool = False
-    """True: crossings are flown lower where that gives more information; see `views`."""
+    """True: crossings are flown lower where that is more informative; see `views`."""
 
     def __post_init__(self) -> None:
         """Reject an empty band for the overshoot, and two settings of one height."""

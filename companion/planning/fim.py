@@ -13,8 +13,8 @@ which may be singular. H and R are those of `measurement_model`.
 Paper: section V-B, eq. (FIM objective). Deviations: the paper leaves the candidates, the prior
 information and the offsets open (with them known, any new position looks equally good); ranges are
 slant, as the radio measures them; and `near_target_terms` adds the second-order variances of the
-filter, without which the bearing from a position above the estimate counts as perfect. Without them
-the criterion is the linearised one.
+filter, without which the bearing from a position above the estimate would seem perfect. Without
+them the criterion is the linearised one.
 
 An antenna array is that of a level vehicle that keeps its heading; outside the field of view there
 is no direction. Where received power replaces ranges, it counts as a range from the estimate's
@@ -231,7 +231,7 @@ def best_candidate(
 ) -> int:
     """Return the index of the E-optimal of the poses (3 or 9, k + 1), or `STAY`.
 
-    The last pose is the current one; of the others those count that `may_fly` (k,).
+    The last pose is the current one; the others are candidates where `may_fly` (k,) is true.
     """
     worst = worst_variances_m2(P, mean, poses, sigma, view, model)
     best, least = STAY, worst[-1]

@@ -51,8 +51,7 @@ class PlanRequest:
     """Remaining probability over the search area; None: unknown, or there was contact."""
     time_s: float = 0.0
     contact_s: float | None = None
-    """Time at which ranging could be flown by last; None: unknown, and an estimate counts as
-    fresh."""
+    """Time of the latest usable ranging; None: unknown, and an estimate is assumed to be fresh."""
     height_m: float = 0.0
     """Height of the vehicle above the target, for slant ranges."""
     altitude_offset_m: float | None = None

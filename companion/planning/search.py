@@ -6,13 +6,14 @@ interruption (a brief contact, a detour, strong wind) the search resumes where i
 part is skipped. A leg that cannot be reached is passed over.
 
 At the end of the track the search starts over with turned legs, as the IAMSAR manual prescribes for
-a second search of the same area: what the first one missed because of its direction, the next may
-detect. Lanes turn by 90 degrees, the square by 45, the sectors by 30.
+a second search of the same area: the next may detect what the first one missed because of its
+direction. Lanes turn by 90 degrees, the square by 45, the sectors by 30.
 
-Contact is ranging that can be flown by and is not older than `lost_after_s`: five measurements that
-agree, without a gap, and an estimate that does not contradict its measurements. It hands over to
-the crossing planner at once; without it the search resumes from there, because the emitter may be
-received there again. Single packets at the edge of reception would hold the vehicle there.
+Contact is usable ranging that is not older than `lost_after_s`: five measurements that agree,
+without a gap, and an estimate that does not contradict its measurements. It hands over to the
+crossing planner at once; without it the search resumes from there, because the emitter may be
+received there again. Otherwise single packets at the edge of reception would hold the vehicle
+there.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class SearchParams(Params, frozen=True):
     spacing_m: Spacing = 20.0
     """Distance between neighbouring legs: at most twice the reliable range of the radio."""
     arrival_radius_m: Positive = 1.5
-    """The end of a leg counts as reached within this distance."""
+    """Distance within which the end of a leg is reached."""
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
         """Return the legs of a sweep (0: the first), if any; the search began at the datum."""
@@ -154,7 +155,7 @@ class SearchPlanner:
 
 
 def _begin(memory: SearchMemory) -> Point:
-    """Return where to join the leg: its start, or where it was left."""
+    """Return the point to join the leg: its start, or where it was left."""
     leg, length_m = memory.leg, memory.leg.length_m
     share = 0.0 if length_m == 0.0 else min(1.0, memory.so_far_m / length_m)
     (e0, n0), (e1, n1) = leg.start_enu_m, leg.end_enu_m

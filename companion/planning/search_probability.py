@@ -8,10 +8,10 @@ flight to it included:
 
     rate = max over k of (POS of the first k legs) / (time of the first k legs)
 
-Rows of tasks with an order of their own are done in the order of this index for the shortest
-mean time of discovery (J. B. Sidney, Operations Research 23, 1975; L. D. Stone, Theory of Optimal
+Rows of tasks with an order of their own are done in the order of this index for the shortest mean
+time of discovery (J. B. Sidney, Operations Research 23, 1975; L. D. Stone, Theory of Optimal
 Search). The current track is left only for a rate that exceeds its own by `LEAVE_RATIO`. Beginnings
-that leave no charge for the way home do not count.
+that leave no charge for the way home are excluded.
 
 A decision is made while the current leg is flown, for its end, a few forecasts of a leg at each
 request, each O(cells). With an even POA the pattern begins at once; otherwise the vehicle holds

@@ -1,12 +1,12 @@
 """Fits whose errors are correlated within a cluster, and the poses and tests of a calibration.
 
 Theory of operation of the fits. Reflections and the antenna's orientation give all values of one
-position the same error, so a thousand values of five positions are five. Variances are therefore
-those of the delete-one-cluster jackknife (CR3: G. W. Imbens and M. Kolesar, Review of Economics and
-Statistics 98, 2016), and intervals are Student's with clusters less parameters as degrees of
-freedom.
+position the same error, so a thousand values at five positions have the information of five.
+Variances are therefore those of the delete-one-cluster jackknife (CR3: G. W. Imbens and M. Kolesar,
+Review of Economics and Statistics 98, 2016), and intervals are Student's with clusters less
+parameters as degrees of freedom.
 
-Theory of operation of the poses. Everything is evaluated at a time, so that a lag is a shift of it.
+Theory of operation of the poses. Poses are functions of time, so that a lag is a shift of time.
 Positions and roll and pitch are interpolated, yaw along its shorter way. The tests are recognised
 by yaw and distance: a turn changes yaw without moving, a circle moves about the point without a
 change of distance, a line has several distances.

@@ -3,10 +3,10 @@
 Every built-in decoder reads the same bytes; the one that understands most of them wins. Noise must
 match none: a decoder has to read several measurements, and one of binary frames most bytes.
 
-Theory of operation. The time is divided among the ways to listen: the speeds of a serial port, the
-modules that must be asked, the pages of a host. A way on which something was measured is kept until
-the time is over; one that brings only garbage is left early, and its remaining time goes to the
-others. So the whole never takes longer than requested.
+Theory of operation. The time is divided among attempts to listen: the speeds of a serial port, the
+modules that must be asked, the pages of a host. An attempt with a measurement is kept until the
+time is over; one with only garbage ends early, and its remaining time goes to the others. So the
+whole never takes longer than requested.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def _left_over(candidate: _Candidate) -> tuple[int, int, int]:
 
 
 class Ear(OneShotEndpoint):
-    """Listens to one line until the radio is recognised or the time for this way is over."""
+    """Listens to one link until the radio is recognised or the attempt's time is over."""
 
     def __init__(self, listener: Listener, share_s: float, most_s: float) -> None:
         super().__init__(most_s)
@@ -222,7 +222,7 @@ Listen = Callable[[Attempt, Listener], None]
 
 
 def timed(ways: Sequence[Attempt], seconds: float, clock: Clocked) -> Iterator[Attempt]:
-    """Yield each way with its share of the remaining time."""
+    """Yield each attempt with its share of the remaining time."""
     end_s = clock() + seconds
     for number, way in enumerate(ways):
         left_s = max(0.0, end_s - clock())

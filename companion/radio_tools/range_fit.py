@@ -41,7 +41,7 @@ K_CLUSTER = 2.5
 """Threshold for whole clusters; they are few, and the smaller one would pull their mean down."""
 NLOS_SIGMAS = 3.0
 CLUSTER_M = 3.0
-"""Radius within which measurements count as taken at one position."""
+"""Radius within which measurements are taken as from one position."""
 REGION_M = 20.0
 """Radius within which clusters may share reflections; it widens intervals only."""
 LEAST_REGIONS = 6

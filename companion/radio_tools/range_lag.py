@@ -43,7 +43,7 @@ LEAST_MOVING = 20
 LEAST_CONTRAST_MPS = 0.3
 """Minimum difference of the vehicle's speed towards the point at the same position."""
 LAG_SIGMA_S = 0.15
-"""Largest sigma of a lag that counts as determined."""
+"""Largest sigma of a determined lag."""
 
 
 def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:

@@ -4,12 +4,12 @@ Theory of operation. A decoder knows one format and nothing else. It returns the
 the radio's own convention: the emitter by its name on the wire, the device's own time, angles with
 the device's own sign and zero. Everything else is common and done once, in
 `companion.link.radio_stage`: names to ids, offset and scale, sign, mount, clocks, repeated or stale
-values. So a new radio is one class here, and cannot get a frame of reference wrong.
+values. So a new radio is one class here, which needs no frame of reference.
 
 A decoder never raises on bytes from a radio. It counts unusable ones by reason. Its memory between
 two calls is bounded, and how the stream is cut into pieces makes no difference.
 
-Radios by name: the built-in ones, and those of installed packages.
+Radios are found by name: built-in ones, and those of installed packages.
 
 A radio is imported only when it is chosen, so a broken plugin harms only its users.
 """
@@ -35,7 +35,7 @@ from companion.domain import Params
 from companion.errors import ConfigError
 
 MOST_KEPT_BYTES = 65_536
-"""No decoder keeps more of a stream than this between two calls."""
+"""Maximum number of bytes of a stream that a decoder keeps between two calls."""
 MOST_SHOWN = 80
 """Characters of a line that is shown."""
 MOST_REASONS = 32
@@ -172,7 +172,7 @@ class RadioDecoder(ABC):
         self.begin()
 
     def hello(self) -> bytes:
-        """Return the bytes that start the radio's output, sent once the line is open."""
+        """Return the bytes that start the radio's output, sent once the link is open."""
         return b""
 
     def request(self) -> bytes:
@@ -192,7 +192,7 @@ class RadioKind:
     gives: str
     """`range`, `bearing`, `range, azimuth, elevation`."""
     emitter: str
-    """Device that the hidden person must carry: `a LinkTrack tag`, `nothing: any transmitter`."""
+    """Device that the hidden person must carry, such as `a LinkTrack tag`."""
     transport: str = "serial:115200"
     """The usual one, as in an address: `serial:115200`, `http`, `exec`, `udp`."""
     needs_offset: bool = False

@@ -4,7 +4,7 @@
 angle about the array, without any heading: the lines clockwise from its front, the document
 counter-clockwise. Source: krakenrf/krakensdr_doa, `kraken_sdr_signal_processor.py`; krakensdr_docs.
 
-Worthless files are detected here, because no later stage can: the files stay unchanged while no
+Invalid files are detected here, because no later stage can: the files stay unchanged while no
 emitter transmits, they are written in place while they are read, and a receiver that has just been
 tuned returns nonsense.
 """

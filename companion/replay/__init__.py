@@ -1,1 +1,1 @@
-"""`companion replay`: recordings through the flying code once more."""
+"""`companion replay`: runs recordings through the flight software again."""

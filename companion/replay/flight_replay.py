@@ -1,9 +1,9 @@
 """`companion replay` of a flight: runs it again and compares the result.
 
-Recorded and replayed stand side by side: the same to the last bit, or with their distance. On the
-live map a replay shows the operator's view, or the view of another configuration. It begins when a
-browser has opened the map, because at speed a flight is over before a page is up; that wait has no
-limit, and the last moment stays as long: Ctrl-C ends both.
+Recording and replay are compared: identical to the last bit, or with their distance. On the live
+map a replay shows the operator's view, or the view of another configuration. It begins when a
+browser has opened the map, because a fast replay would be over before; Ctrl-C ends this wait and
+the display of the last moment.
 """
 
 from __future__ import annotations
@@ -95,11 +95,11 @@ class FlightReplay:
 
     @property
     def is_failed(self) -> bool:
-        """True if it should have been identical, and is not."""
+        """True if it is not identical although it should be."""
         return self.is_exact and self.is_same_configuration and not self.is_identical
 
     def table(self) -> str:
-        """Return both courses in lines of text."""
+        """Return both courses as a table of text."""
         before, after = _figures(self.recorded), _figures(self.replayed)
         lines = [f"{'':<22} {'recorded':>14} {'replayed':>14}"]
         lines += [f"{name:<22} {before[name]:>14} {after[name]:>14}" for name in before]

@@ -1,8 +1,8 @@
-"""A recorded flight from its logs, and its rerun through the same endpoint.
+"""Recorded flight, read from its logs, and its rerun through the same endpoint.
 
-The endpoint's inputs are in `flight.inputs`, so the replay does the very same: frames, ticks and
-stops at their own times, and nothing else. With the configuration of the flight the estimates and
-the setpoints are the same, byte for byte; `flight_replay` checks that.
+The endpoint's inputs are in `flight.inputs`, so the replay has the same frames, ticks and stops at
+the same times, and nothing else. With the configuration of the flight the estimates and the
+setpoints are the same, byte for byte; `flight_replay` checks that.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""`companion replay`: by the kind of the recording.
+"""The command `companion replay`, by the kind of the recording.
 
-`companion replay` of a radio recording: its bytes decoded again, and the flying estimator.
+The bytes of a radio recording are decoded again and pass through the flying estimator.
 
 Each emitter has a filter of its own. Without an autopilot in the recording the vehicle positions
 are unknown, and only the radios' measurements are listed.

@@ -1,6 +1,6 @@
 """Contents of a flight's event log, sorted for its report.
 
-Searched areas of flights: read from their folders, shown, combined, and put on the report.
+The module also reads, shows and combines searched areas of flights.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from companion.search.searched_flight import SearchedFlight, gaps_of, searched_a
 from companion.view.history import FlightTrack
 
 SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")
-"""Kinds of events that people read."""
+"""Kinds of events in the report's table."""
 
 Line = Mapping[str, object]
 Number = Annotated[float, msgspec.Meta(ge=-3.4e38, le=3.4e38)]

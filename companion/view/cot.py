@@ -53,7 +53,7 @@ class CotRule:
         self._sent: dict[int, tuple[float, TargetEstimate]] = {}
 
     def is_due(self, emitter: EmitterStatus, now_s: float) -> bool:
-        """Return True if an event is due now; it then counts as sent."""
+        """Return True if an event is due now; it is then recorded as sent."""
         estimate = emitter.estimate
         if estimate is None:
             return False

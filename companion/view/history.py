@@ -2,7 +2,7 @@
 
 The flight keeps the track and the curves, thinned, from its own event log. A page gets the part
 that it lacks with the next snapshot that is sent, and a browser with the next update. So snapshots
-may be dropped, pages restarted and browsers opened late: each has the whole in the end.
+may be dropped, pages restarted and browsers opened late: each eventually has the whole.
 
 The searched area is packed by the flight, which takes about a millisecond; gaps, outlines and the
 image take too long for a control tick, and are drawn by the process of the page.
@@ -38,7 +38,7 @@ class HistoryPart(NamedTuple, Generic[T]):
 
 
 class History(Generic[T]):
-    """A list that grows; its version changes with every other change."""
+    """Growing list with a version, which every change but an addition increments."""
 
     def __init__(self) -> None:
         self.items: list[T] = []
@@ -64,7 +64,7 @@ class HistoryReader:
         self._parts, self._count, self._version = 0, 0, -1
 
     def next_part(self, history: History[T]) -> HistoryPart[T]:
-        """Return the part that is lacking; it counts as sent."""
+        """Return the part that is lacking, and record it as sent."""
         is_whole = history.version != self._version
         if self._whole_every is not None:
             is_whole = is_whole or self._parts % self._whole_every == 0

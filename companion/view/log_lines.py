@@ -23,7 +23,7 @@ CLOSE_TIMEOUT_S = 0.3
 
 
 class _LineWriter(WriterThread[str]):
-    """Writes lines past the stream's buffer, whose lock a writer that hangs would keep."""
+    """Writes lines bypassing the stream's buffer, whose lock a hanging writer would keep."""
 
     def __init__(self, stream: TextIO | io.TextIOBase) -> None:
         self._stream = stream

@@ -1,10 +1,10 @@
-"""One moment of a flight as plain values for every view, the page and a terminal.
+"""Snapshot of a flight as plain values, for the page, the terminal and log lines.
 
 Lengths are metres in the local frame, east first; times are seconds of the companion's clock. An
 unknown value is None. Texts are unescaped: a view has to escape them. The operator's
 next step is one or two short sentences at every moment.
 
-The flight as occasional lines, if there is no live screen.
+The log lines are for a console without a live screen.
 """
 
 from __future__ import annotations

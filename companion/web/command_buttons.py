@@ -1,7 +1,7 @@
 """Buttons of the page.
 
-HOLD, RESUME, RETURN and GRANT are grey with the reason, confirmed, and answered; HAND OVER shows
-the hand-off for ground teams.
+HOLD, RESUME, RETURN and GRANT show the reason while disabled, ask for confirmation, and show the
+answer; HAND OVER shows the hand-off for ground teams.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The live map of a flight: pictures to a child process, buttons to the session.
+"""Live map of a flight: snapshots to a child process, button presses to the session.
 
 Theory of operation. Browsers, however many or slow, must not delay the control tick. So the page
 lives in another process: pictures go down a pipe as JSON lines, a few times a second, and only when

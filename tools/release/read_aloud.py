@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("companion", "sim_link", "tools")
 TEXTS = (*PACKAGES, "configs", "docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md")
 WH_CLAUSE = re.compile(r"(^|\n +\w+: )(Wh(at|ether|om?|ose|ere|en|ich|y)|How)(ever)?\b")
-WORDS = re.compile(r"\b(told|tells?|anew|whoever|nobody|somebody|somewhen)\b", re.IGNORECASE)
+WORDS = re.compile(r"\b(told|tells?|anew|whoever|(no|any|some)body|somewhen|in words)\b", re.I)
 LIMITS = {"wh-clauses": 0, "words": 20}
 SUFFIXES = {".py", ".yaml", ".md", ".toml", ".html", ".js"}
 

@@ -125,7 +125,7 @@ class BatteryWatch(Watch):
 DOUBT_S = 1.0
 """Longest trouble reported by an estimator after which it recovers by itself."""
 GOOD_S = 1.0
-"""Time without trouble until the estimator counts as good again."""
+"""Time without trouble until the estimate is trusted again."""
 PATIENCE_S = 5.0
 """Trouble that lasts longer than this leads to a hand-back."""
 

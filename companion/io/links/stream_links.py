@@ -363,7 +363,7 @@ class PtyLink(StreamLink):
         self._look: asyncio.TimerHandle | None = None
 
     async def open(self) -> None:
-        """Make the terminal and its name; raises a `LinkError` if the name cannot be made."""
+        """Create the terminal and its path; raises a `LinkError` if the path cannot be created."""
         try:
             master, slave = os.openpty()
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Addresses of links as MAVLink tools write them, and the rule which of them need a signing key.
+"""Addresses of links as MAVLink tools write them, and which of them need a signing key.
 
 `udp:HOST:PORT` and `udpin:` both bind and listen, as in pymavlink; MAVSDK's old `udp://HOST:PORT`
 sends instead, and is read here as the same thing as `udp:HOST:PORT`. `udpout:` sends first.
@@ -38,7 +38,7 @@ from companion.radios.decoder import Poll
 DEFAULT_BAUD = 921_600
 """Serial speed where none is given: PX4's default for TELEM2, its companion port."""
 OWN_HOST = "127.0.0.1"
-"""Address of this machine only: the meaning of an empty host when listening."""
+"""Loopback address, used for an empty host when listening."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class SerialPort:
 
 @dataclass(frozen=True, slots=True)
 class OwnLine:
-    """Transport that makes its link itself; only radios have such."""
+    """Transport that creates its own link; only radios have such."""
 
     address: str
     make: Callable[[int, Received], Link]

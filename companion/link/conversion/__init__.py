@@ -1,1 +1,1 @@
-"""Conversion of remote times and positions to ours: clocks by stamps, maps by pairs."""
+"""Conversion of remote times and positions to local ones."""

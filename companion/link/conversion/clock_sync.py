@@ -3,14 +3,15 @@
 Theory of operation. We send our time, the autopilot returns it with its own; half a round trip
 later its answer is here. The offset between the clocks follows from the middle of that trip, with
 an error of at most half of it, if the two ways differ. An answer is used only if its round trip is
-within 10 ms of the best of the last eight seconds, because slow exchanges are slow on one way only.
+within 10 ms of the best of the last eight seconds, because slow exchanges are mostly delayed in one
+direction only.
 
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
 together, by a Kalman filter of two states. An exchange that deviates clearly from the prediction is
-left out; five in a row that agree with each other are a clock that slipped, or stood still, and the
-filter starts over with them. Meanwhile requests follow each other quickly. An answer that is dated
-back makes the offset too large, never too small: exchanges below the prediction stay in the row,
-although one above it agrees in between.
+rejected; five in a row that agree with each other show a clock that slipped or stood still, and
+restart the filter. Meanwhile requests follow each other quickly. An answer that is dated back makes
+the offset too large, never too small: exchanges below the prediction stay in the row, although one
+above it agrees in between.
 
 Only the answer to a request of ours counts, and once: answers to another station, late or forged
 ones cannot move the clock. A clock that went back is that of a restarted autopilot only if it shows
@@ -226,7 +227,7 @@ class ClockPace:
             self._exchanges.popleft()
 
     def wrong(self, now_s: float) -> float | None:
-        """Return the speed if it is clearly not 1; None if it is 1, or no straight line fits."""
+        """Return the speed if it is clearly not 1; None if it is 1 or no line fits."""
         recent = self._exchanges
         if len(recent) < RESET_AFTER or now_s - recent[-1][0] > PACE_WINDOW_S:
             return None

@@ -4,10 +4,10 @@ Theory of operation. LOCAL_POSITION_NED and GLOBAL_POSITION_INT come from one es
 position of the one, converted with the origin and the autopilot's projection, is that of the other
 to two centimetres. Where it is not (another firmware, another origin than reported), reported
 positions and setpoints would be off by as much. So pairs of one moment are compared all the time. A
-difference is used once it is more than chance: as another projection, if one explains all pairs,
-which then holds far away, too; otherwise as an offset and a scale of each axis, fitted by least
-squares with a zero prior. A pair that differs from the one before counts only once the next one
-differs alike, so that a single wrong report enters no fit.
+difference is used once it is significant: as another projection, if one explains all pairs, which
+then holds far away, too; otherwise as an offset and a scale of each axis, fitted by least squares
+with a zero prior. A pair that differs from the one before counts only once the next one differs
+alike, so that a single wrong report enters no fit.
 """
 
 from __future__ import annotations

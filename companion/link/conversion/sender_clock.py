@@ -6,11 +6,11 @@ nearest to the truth. The minimum is forgotten slowly, so that a drifting clock 
 that runs slow by per cents is identified by its minima of eight seconds, if they lie on a straight
 line; a link that becomes slower once does not look like that.
 
-A stamp that went back is one of four: the counter wrapped, the frame is late, the clock slipped, or
-the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two are confirmed by
-stamps of the new clock that come for a while, as fast as time passes, and none of the old one in
-between. Until then they are treated as late. A restarted sender has not been up for longer than it
-was silent; one that shows more has a clock that slipped.
+A stamp that goes back has one of four causes: the counter wrapped, the frame is late, the clock
+slipped, or the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two are
+confirmed by stamps of the new clock that come for a while, as fast as time passes, and none of the
+old one in between. Until then they are treated as late. A restarted sender has not been up for
+longer than it was silent; one that shows more has a clock that slipped.
 
 The autopilot's clock is known better, by the exchange of times (`clock_sync`). A slip or rate that
 the exchange shows takes precedence, and its stamps are resynchronised.
@@ -270,7 +270,7 @@ class SenderClock:
         return sum([gain_s for _, gain_s in self._gains]) if self._gains else 0.0
 
     def calm(self) -> None:
-        """Clear the gains, because they were a slip."""
+        """Clear the gains after they were identified as a slip."""
         self._gains.clear()
 
     def read(
