@@ -2,7 +2,7 @@
 
     .venv/bin/python tools/bench_process.py [--seconds 30] [--kernels FOLDER] [--json FILE]
 
-Each client gets a simulated PX4 of its own, with the streams of PX4's onboard link, at real time.
+Each client has its own simulated PX4, with the streams of PX4's onboard link, at real time.
 The companion flies the canonical search on it; MAVSDK-Python (its position, attitude and health)
 and pymavlink (`recv_match`) idle. FOLDER is the output of companion.kernel_builder. Figures
 are for the process after it has settled, while it flies: resident memory and processor time as

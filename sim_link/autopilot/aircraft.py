@@ -1,10 +1,10 @@
 """The multicopter without its autopilot's rules: body, estimator, battery, sticks, plans, home.
 
-A flavour decides which mode is flown and who may choose it; it works on this. Positions are in the
+A flavour, which owns the modes and their selection, operates on it. Positions are in the
 world's frame, local east-north-up from the scenario's origin; time is seconds since boot.
 
-The battery is a four-cell pack that only flying empties. The geofence says what is inside, and how
-far it is to its border. Source: MAVLink common, MAV_CMD_NAV_FENCE_* (5000 to 5004).
+The battery is a four-cell pack that only flying empties. The geofence gives the signed distance to
+its border. Source: MAVLink common, MAV_CMD_NAV_FENCE_* (5000 to 5004).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Battery:
     def __init__(self, params: BatteryParams) -> None:
         self._params = params
         self.share = params.start_share
-        """Charge that is left, 0 to 1."""
+        """Remaining charge, 0 to 1."""
         self.is_known = True
         """True if the reports contain the charge."""
         self.current_ca = IDLE_CURRENT_CA
@@ -63,7 +63,7 @@ class Battery:
 
     @property
     def percent(self) -> int:
-        """Charge that is left, 0 to 100."""
+        """Remaining charge, 0 to 100."""
         return max(0, round(100.0 * self.share))
 
     @property
@@ -79,7 +79,7 @@ class Battery:
 
     @property
     def remaining_s(self) -> int:
-        """Hovering time that is left."""
+        """Remaining hovering time."""
         return round(self.share * self._params.endurance_s)
 
 
@@ -149,12 +149,12 @@ def areas_from_items(
 
 
 MAX_TEXTS = 32
-"""Texts that wait to be sent; older ones give way."""
+"""Maximum number of texts that wait to be sent; the oldest are dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """Event that an operator would want to read."""
+    """Event for the operator."""
 
     time_s: float
     """Time since boot, s."""

@@ -4,7 +4,7 @@ Theory of operation. Physics advances in steps of 20 ms up to the time of the ti
 message is built at a step, so a run depends on its scenario, seed and inputs only. A timer that
 comes more than half a second late (a suspended process) skips the steps it missed: no burst of
 stale telemetry, and the vehicle has not moved in between. On invented time this is lockstep:
-nothing moves until the caller says what time it is.
+nothing moves until the caller advances the time.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
 asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`). A link with one peer, as a
@@ -190,7 +190,7 @@ class SimEndpoint:
                 self._send_all([*public, *(shared if incident.shares_line else ())])
 
     def _reboot(self, now_s: float, down_s: float) -> None:
-        """Restart where it is, motors off, deaf and silent for `down_s` seconds."""
+        """Restart in place, motors off, neither receiving nor sending for `down_s` seconds."""
         body = self.vehicle.body
         self._boot(now_s + down_s, self.parameters_text, "stored parameters", body)
 
@@ -247,7 +247,7 @@ class SimEndpoint:
         return self.recorder.take_occurrences()
 
     def request_stop(self, now_s: float) -> None:  # noqa: ARG002  the protocol gives the time
-        """Finish at once: a simulator has nothing to bring home."""
+        """Finish at once: a simulator needs no orderly end."""
         self.is_finished = True
 
     @property

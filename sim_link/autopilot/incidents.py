@@ -2,8 +2,8 @@
 
 A scenario lists incidents with their times, a fault schedule holds them among other faults, and
 `SimEndpoint.apply_incident` applies one at once. In YAML `kind` names the record: `{kind: gps_loss,
-start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) happens at its start, and its
-duration means nothing.
+start_s: 30, duration_s: 10}`. An event (a reboot, a mode switch) occurs at its start, and its
+duration is ignored.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class RcLoss(IncidentRecord, frozen=True, tag="rc_loss"):
 
 
 class GpsLoss(IncidentRecord, frozen=True, tag="gps_loss"):
-    """No satellite is seen; without any the estimate wanders off, and ends being used."""
+    """No satellite is received; the estimate then drifts, and becomes invalid."""
 
     receiver: Literal["all", "first", "second"] = "all"
     """Affected receivers of those in `gps.receivers`."""
@@ -128,7 +128,7 @@ class FalseLanding(IncidentRecord, frozen=True, tag="false_landing"):
 
 
 class EkfJump(IncidentRecord, frozen=True, tag="ekf_jump"):
-    """A reset of the estimator: from now on it reports this much more; event."""
+    """A reset of the estimator by this offset, which stays; event."""
 
     east_m: Coordinate = 7.0
     north_m: Coordinate = 0.0

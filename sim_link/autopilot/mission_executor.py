@@ -86,7 +86,7 @@ class MissionRun:
         self.state = MissionState.NOT_STARTED if self.has_items else MissionState.NO_MISSION
 
     def set_current(self, index: int) -> bool:
-        """Fly on at an item; return True if there is one."""
+        """Continue at an item; return True if it exists."""
         if not 0 <= index < len(self.items):
             return False
         self._go_to(index)
@@ -95,7 +95,7 @@ class MissionRun:
         return True
 
     def start(self) -> None:
-        """Fly on; a mission that is complete starts over."""
+        """Continue; a complete mission starts again."""
         if self.state is MissionState.COMPLETE:
             self.rewind()
         if self.has_items:

@@ -1,4 +1,4 @@
-"""The scenario: everything that one simulated flight is made of.
+"""Scenario: all parameters of one simulated flight.
 
 The defaults are the canonical scenario. `sim_link.fleet` reads it from YAML.
 """
@@ -111,7 +111,7 @@ class FenceParams(Params, frozen=True):
     """True if the vehicle must stay inside, otherwise outside."""
 
     def __post_init__(self) -> None:
-        """Refuse a polygon that encloses nothing or crosses itself."""
+        """Raise `ValueError` for a polygon that encloses nothing or crosses itself."""
         if self.corners_enu_m:
             check_polygon("fence", self.corners_enu_m, LEAST_FENCE_M2)
 

@@ -2,10 +2,10 @@
 
 Theory of operation. Every service is a small state machine of `protocols`, which knows nothing of
 physics; this joins them to the vehicle. A message that is addressed elsewhere never gets here past
-`is_for_us`. Answers name the link they go to; what everyone must hear names none.
+`is_for_us`. Answers name the link they go to; messages for all name none.
 
 Services that the vehicle does not have (files, logs) are refused at once instead of by a silence.
-There is nothing to calibrate, but it takes its time and reports progress.
+A calibration has no effect, but takes time and reports progress.
 
 Source: MAVLink developer guide, "File Transfer Protocol (FTP)" and "Long Running Commands"; MAVLink
 common, LOG_REQUEST_LIST and MAV_CMD_PREFLIGHT_CALIBRATION.

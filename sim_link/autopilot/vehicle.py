@@ -1,7 +1,7 @@
 """The simulated vehicle: an aircraft and the autopilot that flies it, without the wire.
 
-With it what makes the flavour that a scenario names, lets incidents happen, each at its time or at
-once, and records the true track and the mode changes for the flight report.
+The module also creates the flavour that a scenario names, applies incidents, and records the true
+track and the mode changes for the flight report.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class SimVehicle:
 
 
 class IncidentSchedule:
-    """The incidents that are still to come."""
+    """Schedule of the incidents that are still to come."""
 
     def __init__(self, incidents: Iterable[Incident]) -> None:
         self._coming = sorted(incidents, key=lambda incident: incident.start_s, reverse=True)
@@ -210,7 +210,7 @@ class FlightRecorder:
         self._fresh: list[Occurrence] = []
 
     def take(self, vehicle: SimVehicle) -> None:
-        """Take over the events up to the vehicle's current step."""
+        """Add the events up to the vehicle's current step."""
         if vehicle.time_s + 0.5 * STEP_S >= self._track_due_s:
             self.track.append((vehicle.time_s, *vehicle.body.position_enu_m))
             if len(self.track) > MAX_TRACK_POINTS:

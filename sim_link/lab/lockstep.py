@@ -5,9 +5,9 @@ arrivals and actions in the order in which they were posted, physics, radio, con
 whatever those sent if the wire delivers it at once. So a flight depends on its configuration,
 scenario, seed, wire and actions only, and two of the same give the same bytes.
 
-The companion is the process that it is: it may be killed, restarted, asked to stop, and suspended.
-A suspended one gets what its socket held, in order, when it continues; the socket holds no more
-than Linux gives it by default, and drops the rest.
+The companion behaves as a process: it may be killed, restarted, asked to stop, and suspended. A
+suspended one receives the content of its socket, in order, when it continues; the socket holds no
+more than Linux gives it by default, and drops the rest.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Flight:
         self.wire: Wire = PerfectWire() if wire is None else wire
         self.now_s = 0.0
         self.is_link_up = True
-        """False: the cable between the two is pulled."""
+        """False: the cable between the two is disconnected."""
         self.is_ranging_up = True
         """False: the simulator's radio is silent."""
         self.is_companion_up = False
@@ -182,7 +182,7 @@ class Flight:
         self.settle()
 
     def at(self, time_s: float, action: Callable[[], None]) -> None:
-        """Have something done at a time, or now if that is over."""
+        """Schedule an action at a time, or now if that has passed."""
         self._count += 1
         heapq.heappush(self._queue, (max(time_s, self.now_s), self._count, action))
 
@@ -327,7 +327,7 @@ class Flight:
             self._collect()
 
     def suspend_companion(self, duration_s: float) -> None:
-        """Give the process no time (SIGSTOP, starvation)."""
+        """Suspend the process (SIGSTOP, starvation)."""
         self._suspended_until_s = max(self._suspended_until_s, self.now_s + duration_s)
         self.observers.notify("companion_suspended", self.now_s, self._suspended_until_s)
 
@@ -358,7 +358,7 @@ class Flight:
 
     @property
     def mode(self) -> FlightMode:
-        """The mode that the vehicle is truly in."""
+        """Actual mode of the vehicle."""
         return self.sim.vehicle.flavour.mode
 
 
@@ -404,7 +404,7 @@ class Operator:
         flight.note_chosen(mode)
 
     def grant(self) -> None:
-        """Give control back to the companion, through the autopilot, which forwards it."""
+        """Grant control to the companion, through the autopilot, which forwards the command."""
         number, rest = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, [0.0] * 6
         target = (self._flight.scenario.system_id, COMPANION_COMPONENT)
         message = mavlink.MAVLink_command_long_message(*target, number, 0, 1.0, *rest)

@@ -1,7 +1,7 @@
 """The wire between companion and vehicle, and observers of the frames on it.
 
-A datagram goes into the wire, and is delayed or dropped. Observers see every frame that was sent or
-heard, and every step of the truth.
+The wire delays or drops datagrams. Observers see every frame that was sent or received, and every
+physics step.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Many items through one function: in this process, in several of this machine, or on a cluster.
+"""Map of a function over many items, in this process, several processes, or a cluster.
 
-The function is a module's own and needs nothing but its item, so that where it runs changes no
-result. Items are given out in order, no more at a time than keep all workers busy. A worker leaves
+The function is at module level and needs only its item, so that the result does not depend on where
+it runs. Items are given out in order, no more at a time than keep all workers busy. A worker leaves
 Ctrl-C to its parent, and ends with it; a parent that stops listening ends the work: processes are
 interrupted and clean up, what has begun on a cluster runs to its end and is forgotten.
 """
@@ -47,7 +47,7 @@ Result = TypeVar("Result")
 LOCAL, SCHEME = "local", "dask://"
 ADDRESS = re.compile(re.escape(SCHEME) + r"(\[[0-9a-fA-F:]+\]|[^\s:/]+):([0-9]{1,5})")
 AHEAD = 2
-"""Items for each worker that are given out at a time: one in work, and the next one."""
+"""Items that each worker gets at a time: one in work, and the next one."""
 GRACE_S = 10.0
 """Time for which an interrupted process may clean up before it is killed."""
 CONNECT_S = 3.0
@@ -75,7 +75,7 @@ class WorkerLostError(CompanionError):
 
 
 class Pool:
-    """Gives out work to workers, some items at a time; without any, this process does it."""
+    """Distributes work to workers, some items at a time; without workers, this process does it."""
 
     def __init__(self, workers: Processes | Cluster | None = None, width: int = 1) -> None:
         self._workers = workers
@@ -152,7 +152,7 @@ class Processes(ProcessPoolExecutor):
         super().__init__(jobs, multiprocessing.get_context("spawn"), _begin_worker)
 
     def submit(self, work: Callable[[Item], Result], item: Item) -> Future[Result]:  # type: ignore[override]  # one item
-        """Give out an item; a process that this starts hears no Ctrl-C, not even while it loads."""
+        """Submit an item; a process started for it ignores Ctrl-C, even while it loads."""
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
             return super().submit(_work_unless_interrupted, work, item)
@@ -176,7 +176,7 @@ class Processes(ProcessPoolExecutor):
 
 @dataclass(slots=True)
 class _Worker:
-    """This process, where it is one that works for another."""
+    """State of this process as a worker of another."""
 
     is_busy: bool = False
     is_interrupted: bool = False
@@ -232,7 +232,7 @@ class Cluster:
         return future
 
     def interrupt(self) -> None:
-        """Let it run to its end: tasks of a cluster share a process."""
+        """Do nothing: tasks of a cluster share a process, and run to their end."""
 
 
 @contextmanager

@@ -1,7 +1,7 @@
-"""The pytest plugin: a marker that flies a mission, and fixtures to build tests of one's own.
+"""Pytest plugin: a marker that flies a mission, and fixtures for other tests.
 
-Everything heavy is imported when it is used, because every pytest on a machine where the project is
-installed loads the plugin.
+Heavy imports are deferred, because every pytest run in an environment with this project loads the
+plugin.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def seen_from_nose(heard: RangingMeasurement, yaw_rad: float) -> RangingMeasurem
 
 
 class RadioFollower(OneShotEndpoint):
-    """A radio that flies along; emitters with a position on the Earth wait for the origin.
+    """Radio carried by the vehicle; emitters with a position on the Earth wait for the origin.
 
     With a separate link measurements go to link 1 instead of back to the vehicle's.
     """
@@ -426,7 +426,7 @@ def _stop_at_eof(shell: Shell) -> None:
 def _hints(
     follower: RadioFollower, link: str, say: Callable[[str], None]
 ) -> Callable[[float], None]:
-    """Return a function that reports once that a vehicle is heard, or that none is."""
+    """Return a function that reports once if a vehicle is heard, or if none is."""
     said = ""
 
     def check(now_s: float) -> None:

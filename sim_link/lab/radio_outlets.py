@@ -1,6 +1,6 @@
 """Outlets of an emulated radio besides serial lines, UDP and TCP: stdout, HTTP, web sockets.
 
-A web socket's client is sent what every client is sent first, and the frames from then on. A radio
+A web socket's client gets the initial messages, and all later frames. A radio
 that is polled serves one document, its latest; until there is one, and for any other path
 than its own and `/`, it answers 404, as the real ones do.
 """

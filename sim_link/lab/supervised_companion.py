@@ -1,6 +1,6 @@
-"""`companion` on a leash: the same command, which ends in order when its standard input closes.
+"""The `companion` command, which ends orderly when its standard input closes.
 
-So not even a kill -9 of its parent leaves a companion behind that flies a vehicle.
+So even after a kill -9 of its parent no companion continues to fly a vehicle.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ hits all of them; a figure is the median over the rounds, per update.
 
 filterpy is used as in its documentation: one filter object, range and bearing at once, model and
 Jacobian written in plain Python, prediction and update timed separately. The target is stationary,
-so that the companion's prediction has nothing to compute; filterpy's multiplies its matrices all
-the same.
+so that the companion's prediction has nothing to compute; filterpy's multiplies its matrices
+anyway.
 
-Compiled and plain kernels cannot live in one process. The plain ones are timed in a second one,
+Compiled and plain kernels cannot share a process. The plain ones are timed in a second one,
 with numba's compilation disabled, against filterpy timed there; both belong to the same run.
 """
 

@@ -3,8 +3,8 @@
 Starts `sim-link` with a UDP port for two clients and a TCP port for one. Each client requests rates
 of its own, and they are counted; then the first takes off, sends setpoints and counts the physics
 steps until each is echoed. The simulator itself reports a setpoint's arrival: a TIMESYNC request
-travels in the same datagram, so that a client that waits for its turn on a busy machine does not
-count. Prints two tables; exit code 0 when every rate is within 5 % and no setpoint waits longer
+travels in the same datagram, so that scheduling delays of a client on a busy machine have no
+effect. Prints two tables; exit code 0 when every rate is within 5 % and no setpoint waits longer
 than one step, 1 otherwise.
 """
 

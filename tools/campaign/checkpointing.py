@@ -1,6 +1,6 @@
-"""Checkpoints of a lockstep flight, kept in memory as the bytes that would be on disk.
+"""In-memory checkpoints of a lockstep flight, as the bytes that would be on disk.
 
-So they can be damaged between a kill and the next start.
+They can be damaged between a kill and the next start.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Checkpointing(Observer):
         self._begin()
 
     def companion_ended(self, now_s: float) -> None:
-        """Handle the end of the companion, in order or not."""
+        """Handle the end of the companion, orderly or not."""
         del now_s
         self._keeper.close(0.0)
 

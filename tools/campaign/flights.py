@@ -33,7 +33,7 @@ from tools.campaign.checkpointing import Checkpointing
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One piece of work, which depends on these values only."""
+    """One trial, which depends on these values only."""
 
     part: str
     seed: int
@@ -247,7 +247,7 @@ SHORTEST_S, LONGEST_S = 0.3, 15.0
 
 
 class Dice:
-    """Draws figures."""
+    """Random draws for trials."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

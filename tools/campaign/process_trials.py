@@ -41,7 +41,7 @@ CUTS_PER_TRIAL = 40
 
 
 class Taking(Observer):
-    """Counts the companion's requests to take a vehicle by itself."""
+    """Counts unprompted requests of the companion to take control."""
 
     def __init__(self) -> None:
         self.taken = 0
@@ -54,7 +54,7 @@ class Taking(Observer):
 
 
 def kill(trial: Trial) -> TrialOutcome:
-    """Kill, damage, start again, and check that nothing engages."""
+    """Kill, damage the checkpoint, restart, and check that nothing engages."""
     around, dice = launched_flight(trial.seed, LAUNCHED)
     flight, store = around.flight, around.checkpointing.store
     flight.run(dice.number(KILL_EARLIEST_S, KILL_LATEST_S))

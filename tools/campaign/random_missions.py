@@ -45,7 +45,7 @@ class Site:
     keep_out_enu_m: tuple[Corners, ...]
     start_enu_m: tuple[float, float]
     emitter_box_m: tuple[float, float, float, float]
-    """West, south, east, north of where the emitter may be; may reach over the fence."""
+    """West, south, east and north bounds of the emitter, m; may extend beyond the fence."""
 
 
 NOTCH: Corners = ((-20, -20), (100, -20), (100, 30), (45, 30), (45, 100), (-20, 100))
@@ -261,7 +261,7 @@ def _give_again(around: flights.Monitored) -> None:
 
 LOSSES = (0.0, 0.1, 0.3)
 BEFORE_S, OVER_S, AFTER_S = 14.0, 12.0, 4.0
-"""Boot and take-off; the time in which the pilot acts; how long silence is watched."""
+"""Boot and take-off; the time in which the pilot acts; the time for which silence is checked."""
 AGAIN = 10
 """Take-overs in one flight: the operator hands control over again in between."""
 GIVE_BACK_S = 3.0

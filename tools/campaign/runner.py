@@ -189,7 +189,7 @@ PROMISED = (
 
 
 def judge(tally: CampaignTally) -> None:
-    """Add the findings that the sums show."""
+    """Add the findings of the totals."""
     sums = tally.sums
     hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
     lost = sums.get(f"false_losses_{JUDGED_LOSS}", 0.0)

@@ -1,6 +1,7 @@
 """ArduCopter's reaction to each MAV_CMD.
 
-It is as lax as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8 bits.
+It is as permissive as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8
+bits.
 
 Source: MAVLink common, MAV_CMD; ArduCopter 4.5 as observed in SITL.
 """

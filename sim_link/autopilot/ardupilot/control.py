@@ -2,8 +2,8 @@
 
 GUIDED of ArduCopter: the meaning and effect of each target message.
 
-Take-off comes first, positions are latched for ever, motions time out silently. A position with a
-velocity runs on by it until the time-out, and is latched where it is then.
+A take-off has precedence, positions are latched indefinitely, motions time out silently. A position
+with a velocity runs on by it until the time-out, and is latched where it is then.
 
 One ignored axis ignores its whole group. Accepted are position, velocity, acceleration, position
 with velocity (and acceleration), velocity with acceleration, each with or without yaw or yaw rate;
@@ -214,7 +214,7 @@ class Guided:
 
     @property
     def is_latched(self) -> bool:
-        """True if it flies to a position and stays there for ever."""
+        """True if it flies to a position and stays there indefinitely."""
         is_following = self.state is GuidedState.FOLLOWING
         return is_following and self.setpoint.position_en_m is not None and not self._is_moving
 
@@ -368,7 +368,7 @@ class CopterFailsafes:
             yield self._event(EKF, reaction, names_mode=reaction is not None)
 
     def _is_outvoted(self) -> bool:
-        """Return True by two votes of three, or the velocity at twice the threshold."""
+        """Return True if two of three ratios, or the velocity at twice the threshold, are bad."""
         ratio, threshold = self._aircraft.estimator.test_ratio, self._parameters["FS_EKF_THRESH"]
         votes = sum(ratio(of) >= threshold for of in ("velocity", "position", "compass"))
         return votes >= TWO_VOTES or ratio("velocity") >= 2.0 * threshold

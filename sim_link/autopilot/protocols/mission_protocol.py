@@ -1,17 +1,17 @@
 """The mission protocol for missions, fences and rally points: uploads and downloads.
 
-Upload: MISSION_COUNT, then a request and an item for each number, then an ACK. The vehicle asks,
-and asks again when nothing comes. On PX4 the new plan replaces the old one at the ACK and not
-before: an error, a cancellation or a silence leaves the old one. ArduPilot cuts the old mission at
-MISSION_COUNT and overwrites it item by item.
+Upload: MISSION_COUNT, then a request and an item for each number, then an ACK. The vehicle
+requests, and repeats a request without an answer. On PX4 the new plan replaces the old one at the
+ACK and not before: an error, a cancellation or a silence leaves the old one. ArduPilot cuts the old
+mission at MISSION_COUNT and overwrites it item by item.
 
-An item that comes twice is dropped in silence; one from further ahead makes us ask again for the
-one that is missing. Answering both with a request would double the traffic with every lost frame.
+A repeated item is dropped silently; one further ahead triggers another request of the missing one.
+Answering both with a request would double the traffic with every lost frame.
 
-Download: a list is asked for, then item by item, and at last the client says so. PX4 waits for that
-MISSION_ACK, even after a count of 0, and does nothing else for the partner until it comes or five
-seconds have passed; what it sends is the plan as it was when the list was asked for. ArduPilot
-remembers nothing and gives any item to anyone.
+Download: the client requests the list, then each item, and sends MISSION_ACK at the end. PX4 waits
+for it, even after a count of 0, and does nothing else for the partner until it comes or five
+seconds have passed; it sends the plan as of the request for the list. ArduPilot keeps no state and
+sends any item to any client.
 
 Source: MAVLink developer guide, "Mission Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 """

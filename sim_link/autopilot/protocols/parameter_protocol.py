@@ -1,8 +1,8 @@
 """Typed parameters, and the protocol that lists, reads and sets them.
 
-What does not exist is met with silence, and hardly anything is refused: PX4 1.15 stores a NaN and
-what is out of range, and refuses another type in silence; ArduCopter 4.5 lets integers wrap, is
-silent about NaN and reports only read-only parameters. A parameter is never created.
+Requests of unknown parameters are not answered, and hardly any value is refused: PX4 1.15 stores a
+NaN and what is out of range, and refuses another type in silence; ArduCopter 4.5 lets integers
+wrap, is silent about NaN and reports only read-only parameters. A parameter is never created.
 
 Source: MAVLink developer guide, "Parameter Protocol"; PX4 1.15 and ArduCopter 4.5 as observed.
 

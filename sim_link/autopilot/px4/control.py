@@ -17,9 +17,9 @@ PX4's failsafes: the active faults, and the reaction that takes precedence.
 
 Theory of operation. Every cause has a reaction while it is active, and the most severe reaction is
 flown. Most reactions wait: PX4 holds for COM_FAIL_ACT_T first, so that the operator may take over,
-by a mode but not by the sticks. What only falls back (no setpoints, no position) and a hold at the
-fence do not wait. The time to hold shrinks while it is used and grows back four times as slowly, so
-that a cause that comes and goes is acted on in the end.
+by a mode but not by the sticks. Fallbacks (no setpoints, no position) and a hold at the fence do
+not wait. The time to hold shrinks while it is used and grows back four times as slowly, so that an
+intermittent cause eventually takes effect.
 
 Some causes end with their condition (setpoints, position, battery), the others stay until the
 operator chooses a mode or the vehicle disarms (sticks, station, fence). A choice of the operator

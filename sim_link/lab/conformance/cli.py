@@ -1,7 +1,7 @@
 """The `companion-conformance` command: its rules, the real link, arguments and exit codes.
 
-The links of `companion.io` run on an event loop; a probe reads like a script. So a loop of our own
-runs only while a probe waits.
+The links of `companion.io` run on an event loop, but a probe is a script. So a separate loop runs
+only while a probe waits.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ MODULES = (
 
 
 def all_rules() -> list[rules.Rule]:
-    """Return every rule of every role: first those that only ask, last those that fly."""
+    """Return every rule of every role, ordered by effect: asking first, flying last."""
     books = (getattr(each, "book", None) for module in MODULES for each in vars(module).values())
     found = {r.rule_id: r for book in books if isinstance(book, rules.RuleBook) for r in book.rules}
     order = list(rules.Effect)
@@ -99,10 +99,9 @@ class WireLink:
         return isinstance(self._spec, transports.UdpBind | transports.UdpConnect)
 
     def send(self, data: bytes) -> None:
-        """Send now; nothing is sent before a peer was heard where we only listen.
+        """Send now; a listening link sends nothing before a peer was heard.
 
-        What has arrived is read first: a client that was busy elsewhere would lose the answer,
-        because its socket is full.
+        Received data is read first, because an answer would be lost to a full socket.
         """
         self._loop.run_until_complete(self._drain())
         self._link.send(Chunk(0, data, self._peer))

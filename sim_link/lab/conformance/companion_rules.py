@@ -294,7 +294,7 @@ class SetpointRules(CompanionProbe):
         return self.setpoints()
 
     def _late_setpoints(self, mode: str, listen_s: float = LISTEN_S) -> int:
-        """Count the setpoints that come although another mode was chosen a second ago."""
+        """Count the setpoints that come more than a second after another mode was selected."""
         self.choose(mode)
         self.run(REACTION_S)
         mark = self.mark

@@ -1,8 +1,8 @@
-"""MAVLink written down a second time: frames, results, modes and setpoints, right and wrong.
+"""Independent MAVLink implementation: frames, results, modes and setpoints, valid and invalid.
 
-Independent oracle for frame readers: nothing here is shared with the codec under test but the
-CRC_EXTRA of each message, and modes have a table apart from the simulator's, so that a probe does
-not agree with a wrong number. Results are numbers because the dialect does not have all of them.
+It is an oracle for frame readers: only the CRC_EXTRA of each message is shared with the codec under
+test, and modes have a table apart from the simulator's, so that a wrong number is not used on both
+sides. Results are numbers because the dialect does not have all of them.
 
 Source: MAVLink guide, "Packet Serialization" and "Message Signing"; MAVLink common, MAV_RESULT and
 MAV_MISSION_RESULT; PX4 `px4_custom_mode.h`; ArduPilot `ArduCopter/mode.h`.

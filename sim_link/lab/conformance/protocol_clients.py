@@ -1,6 +1,6 @@
-"""Clients of a vehicle's parameters, plans and setpoints, in steps that a rule can each do wrong.
+"""Clients of a vehicle's parameters, plans and setpoints, in single steps that a rule can vary.
 
-Answers are looked for behind what was sent last. Parameter values are kept as the bytes on the
+Answers are searched after the latest transmission. Parameter values are kept as the bytes on the
 wire. Plans lie around home.
 """
 
@@ -327,7 +327,7 @@ class PlanClient(ParameterClient):
         return [MissionItem(command, frame, (0.0, 0.0, 0.0, 0.0), *position)]
 
     def enable_fence(self) -> None:
-        """Have PX4 hold at its fence, ArduPilot keep within it; `NotApplicable`: it cannot."""
+        """Activate the fence (PX4: hold at it); `NotApplicable`: not possible."""
         name, value = ("GF_ACTION", 2.0) if self.is_px4 else ("FENCE_ENABLE", 1.0)
         try:
             self.change(name, value)
@@ -340,7 +340,7 @@ Setpoint = LocalSetpoint | GlobalSetpoint
 
 
 class SetpointClient(VehicleProbe):
-    """Has a vehicle follow setpoints."""
+    """Client that lets a vehicle follow setpoints."""
 
     def send_setpoint(self, setpoint: Setpoint) -> None:
         """Send one setpoint, once."""

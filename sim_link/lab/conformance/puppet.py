@@ -19,7 +19,7 @@ ORIGIN_E7_MM = (473_977_420, 85_455_940, 488_000)
 """Latitude and longitude, 1e-7 degrees, and altitude, mm: origin and home."""
 HOVER_DOWN_M = -10.0
 FIRST_WORD_S = 90.0
-"""Longest wait for a companion's first message: compiling its kernels takes half a minute."""
+"""Longest wait for a companion's first message, s: compiling its kernels takes half a minute."""
 SETTLE_S = 5.0
 """Time until the companion knows the vehicle; it may listen 3 s for two systems."""
 UNKNOWN_COMMAND = 31_999
@@ -53,7 +53,7 @@ def stay_silent(_: CommandMessage) -> int | None:
 
 
 class CompanionProbe(Station):
-    """Plays the vehicle that a companion serves: it hovers, armed, or stands on the ground."""
+    """Scripted vehicle of a companion: it hovers, armed, or stands on the ground."""
 
     role = Role.COMPANION
 
@@ -102,7 +102,7 @@ class CompanionProbe(Station):
             self._stops.append(self.repeat(build, period_s))
 
     def go_silent(self) -> None:
-        """Send nothing of the vehicle any more."""
+        """Stop sending the vehicle's messages."""
         while self._stops:
             self._stops.pop()()
 
@@ -112,7 +112,7 @@ class CompanionProbe(Station):
         self.send(self._heartbeat())
 
     def send_as(self, message: Message, system_id: int, component_id: int) -> None:
-        """Send a message as someone else."""
+        """Send a message with other ids."""
         self.send(message, FrameSpec(system_id, component_id))
 
     @property

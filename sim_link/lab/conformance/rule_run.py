@@ -1,10 +1,10 @@
 """Run of rules one after another on a vehicle that is restored in any case.
 
-Theory of operation. Every rule has a probe of its own; what all of them touched is written down in
-one `Baseline`. After a rule, passed or not, the vehicle lands, and parameters, stream rates and
-home are put back; plans and the mode are at the end. A vehicle that falls silent is waited for. If
-it comes back it is put in order first, and the rules continue; otherwise the rest is not run. What
-could not be put back is listed, with the value that it had.
+Theory of operation. Every rule has a probe of its own; all changes are recorded in one `Baseline`.
+After a rule, passed or not, the vehicle lands, and parameters, stream rates and home are put back;
+plans and the mode are at the end. A vehicle that falls silent is waited for. If it returns it is
+restored first, and the rules continue; otherwise the rest is not run. What could not be restored is
+listed with its former value.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ GO_BACK_S = 60.0
 COME_BACK_S = 90.0
 """Longest wait for a silent vehicle, in s: a real autopilot boots within 40 s."""
 MOST_LANDINGS = 2
-"""Failed landings in succession after which a vehicle is left to its operator."""
+"""Consecutive failed landings after which a vehicle is left to its operator."""
 
 
 class Caretaker(PlanClient):
     """Lands a vehicle and restores changes made by rules."""
 
     def put_in_order(self) -> None:
-        """Land, then put back all but plans and mode; `Violation`: the vehicle does not do so."""
+        """Land, then restore all but plans and mode; `Violation`: the vehicle refuses."""
         self.come_to_rest()
         baseline = self.baseline
         for name in list(baseline.parameters):
@@ -62,7 +62,7 @@ class Caretaker(PlanClient):
                 self.clear(mav.FENCE)
 
     def come_to_rest(self) -> None:
-        """If it is armed, land it where flights began and wait until it is disarmed."""
+        """If it is armed, land it at the start of the flights and wait until it is disarmed."""
         if not self.is_armed():
             return
         with suppress(Violation):
@@ -71,7 +71,7 @@ class Caretaker(PlanClient):
         self.await_disarmed(LAND_S)
 
     def _go_back(self) -> None:
-        """Fly to where flights began, unless it is near or the vehicle does not want to."""
+        """Fly to the start of the flights, unless it is near or the vehicle refuses."""
         start_e7 = self.baseline.start_e7
         if start_e7 is None or mav.distance_m(self.where_e7(), start_e7) < NEAR_M:
             return

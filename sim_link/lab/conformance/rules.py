@@ -48,7 +48,7 @@ ARDUPILOT = frozenset({Flavour.ARDUPILOT})
 
 
 class Effect(Enum):
-    """The most that a probe does to the vehicle; each includes the ones before it."""
+    """Strongest effect of a probe on the vehicle; each includes the ones before it."""
 
     ASKS = "asks"
     """Nothing that outlasts the connection: asks, listens, changes stream rates."""
@@ -68,7 +68,7 @@ class Violation(Exception):  # noqa: N818  what a rule finds is no error of ours
 
 
 class NotApplicable(Exception):  # noqa: N818
-    """Rule that cannot be tried with this peer; the text gives the reason."""
+    """The rule cannot be tested with this peer; the text gives the reason."""
 
 
 class NotReady(Exception):  # noqa: N818
@@ -114,7 +114,7 @@ class Rule:
     effect: Effect
     flavours: frozenset[Flavour]
     harms: bool
-    """True if it sends input that may crash a weak autopilot: NaN, absurd values, a reboot."""
+    """True if it sends input that may crash a fragile autopilot: NaN, absurd values, a reboot."""
     probe: Probe = field(repr=False)
 
     @property
@@ -201,7 +201,7 @@ class RuleVerdict(Enum):
 
     PASS = "PASS"
     NOTED = "NOTED"
-    """It failed as the real autopilot is known to."""
+    """Failed, as a known deviation of the real autopilot."""
     FAIL = "FAIL"
     HANG = "HANG"
     """The vehicle fell silent: it hangs, crashed, or the link is cut."""
@@ -209,12 +209,12 @@ class RuleVerdict(Enum):
     """The suite itself failed."""
     SKIP = "SKIP"
     NOT_RUN = "NOT RUN"
-    """It was to be tried, and could not be."""
+    """Selected, but could not be run."""
 
 
 @dataclass(frozen=True, slots=True)
 class RuleOutcome:
-    """A rule and how it went."""
+    """A rule and its outcome."""
 
     rule: Rule
     verdict: RuleVerdict

@@ -1,4 +1,4 @@
-"""A MAVLink station that reads like a script: send, let time pass, expect.
+"""Scripted MAVLink station: send, advance time, expect.
 
 `ProbeLink` is what it needs of a link: to send bytes, and to wait for bytes until a time. A
 `Baseline` is the state of a vehicle before its rules were tried, to be put back.
@@ -292,7 +292,7 @@ class Station:
         mark: int | None = None,
         what: str = "",
     ) -> None:
-        """Advance the time; nothing of a kind may come after `mark` (default: from now on)."""
+        """Advance the time; require no message of a kind after `mark` (default: from now on)."""
         mark = self.mark if mark is None else mark
         self.run(for_s)
         for message in self.heard(kind, mark):
@@ -313,7 +313,7 @@ class Station:
                 self._transmit(self._frame_of(task.build(), self.spec()))
 
     def _take(self, pieces: list[bytes]) -> None:
-        """Read arrivals; replies to our own answers are read after them."""
+        """Process received data; replies to our own answers are processed after it."""
         self._pending.extend(pieces)
         if self._is_taking:
             return
@@ -340,7 +340,7 @@ def heartbeat(kind: int, autopilot: int = mavlink.MAV_AUTOPILOT_INVALID) -> Mess
 
 
 def name_of(kind: type[Message] | tuple[type[Message], ...]) -> str:
-    """Return a message class, or the first of several, as the protocol calls it."""
+    """Return the MAVLink name of a message class, or of the first of several."""
     first = kind[0] if isinstance(kind, tuple) else kind
     return str(getattr(first, "msgname", first.__name__))
 
@@ -367,7 +367,7 @@ class Parameter:
 
 @dataclass(slots=True)
 class Baseline:
-    """State of the vehicle before the rules touched it; one for all probes of a run."""
+    """State of the vehicle before the rules changed it; shared by all probes of a run."""
 
     allows_harm: bool = False
     report: Callable[[str], None] = lambda _: None

@@ -1,6 +1,6 @@
-"""A ground station that asks a vehicle, and flies it to try it.
+"""Ground station that queries a vehicle, and flies it to test it.
 
-What is awaited or required raises `Violation` when it does not come true.
+Methods that await or require something raise `Violation` if it does not occur.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ARM_S = 15.0
 """Time for which arming may be refused although SYS_STATUS reports that it is possible."""
 STREAM_S = 15.0
 SILENCE_S = 8.0
-"""Silence in s after which a vehicle has crashed, or hangs."""
+"""Silence, s, after which a vehicle is assumed to have crashed or to hang."""
 SECOND_CLIENT_S = 3.0
 ACK_S = 2.0
 POSITION_INTERVAL_S = 0.05
@@ -50,7 +50,7 @@ GET_INTERVAL = mavlink.MAV_CMD_GET_MESSAGE_INTERVAL
 
 
 class VehicleProbe(Station):
-    """Asks one vehicle, as a ground station would, and tries it in short flights."""
+    """Queries one vehicle, as a ground station would, and tests it in short flights."""
 
     role = Role.VEHICLE
 
@@ -117,7 +117,7 @@ class VehicleProbe(Station):
     ) -> Station:
         """Return a second station, already heard; `NotApplicable` on links for one client.
 
-        A server may leave it waiting in its backlog, and a port may stick to its first peer.
+        A server may leave it in its backlog, and a port may answer its first peer only.
         """
         link = None
         with suppress(CompanionError):
@@ -320,7 +320,7 @@ class VehicleProbe(Station):
         self.await_prearm()
 
     def _await_position(self) -> None:
-        """Wait until it knows where it is; `NotReady`: it does not.
+        """Wait until it has a position; `NotReady`: it does not get one.
 
         ArduPilot reports PREARM_CHECK as good in STABILIZE, which needs no position, and refuses
         GUIDED until its EKF has one, 18 s later.
@@ -380,12 +380,12 @@ class VehicleProbe(Station):
         return bool(self.inbox) and self.now_s - self.inbox[-1].time_s > SILENCE_S
 
     def _reasons_since(self, mark: int) -> str:
-        """Return the vehicle's texts since a mark, to be appended to a complaint."""
+        """Return the vehicle's texts since a mark, to be appended to an error message."""
         texts = dict.fromkeys(text.text.strip() for text in self.from_vehicle(mav.StatusText, mark))
         return f"; it says: {'; '.join(list(texts)[-3:])}" if texts else ""
 
     def arm(self) -> None:
-        """Get ready and arm; `NotReady`: it is refused again and again."""
+        """Get ready and arm; `NotReady`: it is refused repeatedly."""
         self.get_ready()
         percent = self.latest(mav.SysStatus).battery_remaining
         if 0 <= percent < SPENT_PERCENT:

@@ -1,8 +1,8 @@
 """Effects of each link or content fault on a datagram that is sent while it acts.
 
-Faults of the link make it lost, late, damaged or copied. Those of content put another one into
-frames from the vehicle and its radio: ids, sequence number and, with the key, the signature stay.
-Every effect owns its generator, so that adding one fault never changes what another one draws.
+Faults of the link make it lost, late, damaged or copied. Those of content change frames from the
+vehicle and its radio, but keep ids, sequence number and, with the key, a valid signature. Every
+effect owns its generator, so that adding one fault never changes what another one draws.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NO_MAGIC = bytes(set(range(256)) - {0xFD, 0xFE})
 
 
 class FaultEffect(Generic[F]):
-    """One fault, in one direction where it has one, until its end on the caller's clock.
+    """One fault, in one direction if it has one, until its end on the caller's clock.
 
     Effect described by its record. With a key changed frames are signed again.
     """
@@ -54,7 +54,7 @@ class FaultEffect(Generic[F]):
         return []
 
     def watch(self, data: bytes) -> None:
-        """A datagram passes while the fault does not act yet, or not any more."""
+        """Observe a datagram that passes while the fault is inactive."""
 
     def _happens(self, share: float) -> bool:
         return float(self._rng.random()) < share
@@ -67,7 +67,7 @@ class LinkEffect(FaultEffect[faults.LinkFault]):
     """A fault of the link that treats each delivery by itself."""
 
     def apply(self, deliveries: list[Delivery], now_s: float) -> list[Delivery]:
-        """Return what becomes of each; copies come after all the deliveries themselves."""
+        """Return the deliveries that replace them; copies come after all the originals."""
         kept = deliveries if isinstance(self.fault, faults.LinkDuplicates) else []
         return kept + super().apply(deliveries, now_s)
 
@@ -199,13 +199,13 @@ ABSURD_FLOATS = (math.nan, math.inf, -math.inf, 1e30)
 
 
 def _number_of(data: bytes) -> int | None:
-    """Return the message id; None where it is too short for a frame."""
+    """Return the message id; None if the data are too short for a frame."""
     is_long = len(data) > codec.HEADER_LENGTH[codec.MAGIC_V2]
     return codec.message_id(data) if is_long else None
 
 
 class ContentEffect(FaultEffect[G]):
-    """A fault in frames with certain message ids; of the radio, where nothing else is said."""
+    """A fault in frames with certain message ids, by default the radio's."""
 
     def _pass(self, data: bytes, due_s: float) -> list[Delivery]:
         self.watch(data)
@@ -222,7 +222,7 @@ class ContentEffect(FaultEffect[G]):
         return number == RadioRanging.id
 
     def _alter(self, data: bytes, due_s: float) -> list[Delivery]:
-        """Return what becomes of a frame of the kind that the fault is about."""
+        """Return the deliveries that replace a frame with an affected message id."""
         match self.fault:
             case faults.StreamMute() | faults.RangingDropout(missing="both"):
                 return []

@@ -2,7 +2,7 @@
 
 The same records drive the link in memory, the UDP proxy and the injector; a YAML file names one by
 its `kind`: `{kind: link_loss, share: 0.3, start_s: 20, duration_s: 5}`. Times are seconds since the
-schedule began. What happens to the vehicle itself is in `sim_link.autopilot.incidents`.
+schedule began. Faults of the vehicle itself are in `sim_link.autopilot.incidents`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class LinkFault(FaultRecord, frozen=True):
 
 
 class LinkLoss(LinkFault, frozen=True, tag="link_loss"):
-    """Each frame is lost by itself."""
+    """Frames are lost independently."""
 
     share: Share = 0.3
 
@@ -72,7 +72,7 @@ class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
 
 
 class LinkBitFlips(LinkFault, frozen=True, tag="link_bit_flips"):
-    """Some frames arrive with bits turned over."""
+    """Some frames arrive with flipped bits."""
 
     share: Share = 0.1
     bits: Count = 1
@@ -85,7 +85,7 @@ class LinkTruncation(LinkFault, frozen=True, tag="link_truncation"):
 
 
 class LinkGarbage(LinkFault, frozen=True, tag="link_garbage"):
-    """Bytes that are not a frame stand before some frames, in the same datagram."""
+    """Some frames are preceded by bytes that are not a frame, in the same datagram."""
 
     share: Share = 0.1
     most_bytes: Count = 40
@@ -116,7 +116,7 @@ class StreamMute(ContentFault, frozen=True, tag="stream_mute"):
 
 
 class TelemetryNonsense(ContentFault, frozen=True, tag="telemetry_nonsense"):
-    """Some of the vehicle's reports carry a sentinel, no number or an absurd one in a field."""
+    """Some of the vehicle's reports have a sentinel, NaN or an absurd number in a field."""
 
     share: Share = 0.3
 
@@ -187,7 +187,7 @@ class CompanionKilled(ProcessFault, frozen=True, tag="companion_killed"):
 
 
 class CompanionStalled(ProcessFault, frozen=True, tag="companion_stalled"):
-    """The process gets no time (SIGSTOP, a starved host)."""
+    """The process is suspended (SIGSTOP, a starved host)."""
 
     duration_s: Positive = 1.0
 

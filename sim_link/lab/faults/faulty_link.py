@@ -1,4 +1,4 @@
-"""A link with faults and its attacker, in memory, and between real processes on UDP.
+"""Link with faults and an attacker, in memory, and between real processes on UDP.
 
 Theory of operation. Every fault gets effects with a generator of their own: one per direction for a
 fault of the link, one for all frames of the vehicle and its radio for a fault of content. A
@@ -19,7 +19,7 @@ or, on a signed link, from the vehicle's.
 
 Theory of operation of the proxy. Either side stands for the other one. Every datagram passes a
 `FaultyLink`, the same as in memory, and what is late waits in a queue; attackers send to the
-companion from a socket of their own. What the system refuses to send is counted and gone, as on any
+companion from a socket of their own. What the system refuses to send is counted and lost, as on any
 network.
 """
 
@@ -73,8 +73,8 @@ LINK_RANKS = {kind: rank for rank, kind in enumerate(fault_effects.LINK_EFFECTS,
 class FaultyLink:
     """A wire with faults; an `observer.Wire`.
 
-    Faults that are of neither link nor content are left to others. All that is random follows from
-    the seed. With a key, changed frames are signed again where they are signed.
+    Faults that are of neither link nor content are ignored. All random draws follow from the seed.
+    With a key, changed frames are signed again where they are signed.
     """
 
     def __init__(self, schedule: faults.Schedule, seed: int, key: SigningKey | None = None) -> None:
@@ -124,7 +124,7 @@ FOREIGN_SYSTEM = 77
 
 
 class Attacker:
-    """Forges, alters and replays frames, with no key but its own."""
+    """Attacker that forges, alters and replays frames, with no key but its own."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng

@@ -88,7 +88,7 @@ def report_page(result: MissionResult) -> str:
 
 
 def events_of(record: FlightRecord) -> list[EventRow]:
-    """Return the events that people want to read, in the order of time."""
+    """Return the events for people, in order of time."""
     rows = [
         EventRow(time_s, kind, _phrase(kind, fields))
         for time_s, kind, fields in record.events
@@ -270,7 +270,7 @@ def flavours_of(mission: Mission, name: str) -> tuple[FlavourName, ...]:
 
 
 def _check_names(tasks: Sequence[FlightTask]) -> None:
-    """Make sure that no flight writes over the report of another; `ConfigError`: one would."""
+    """Check that no flight overwrites the report of another; `ConfigError`: one would."""
     files: dict[str, str] = {}
     for task in tasks:
         name = task.flight_name

@@ -1,14 +1,14 @@
 """The language of conditions: `estimate.r95_m < 1 and vehicle.mode == hold`.
 
 Theory of operation. Python's own parser reads the text into a tree, so precedence, chained
-comparisons and parentheses are Python's; nothing is ever evaluated by Python. The
-tree is translated, once and with types, into closures over a `FlightSituation`. What is not known
-is neither true nor false (Kleene's logic): `and` with something false is false, `or` with something
-true is true, everything else with an unknown is unknown, and an unknown condition does not hold.
+comparisons and parentheses are Python's; nothing is ever evaluated by Python. The tree is
+translated, once and with types, into closures over a `FlightSituation`. An unknown value is neither
+true nor false (Kleene's logic): `and` with something false is false, `or` with something true is
+true, everything else with an unknown is unknown, and an unknown condition does not hold.
 
-A `FlightSituation` is what is known of a flight at a moment; what is not known (yet) is None. The
-runner in memory and the one of real processes fill in the same one, so that a script means the same
-in both. What is said of its fields is what documentation and errors say of them.
+A `FlightSituation` is the known state of a flight at one time; unknown values are None. The runner
+in memory and that of real processes fill the same record, so that a script means the same in both.
+The docstrings of its fields are used in documentation and errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from companion.guidance.phases import Phase
 
 
 class Kind(Enum):
-    """Type of a value, so that only like is compared with like."""
+    """Type of a value; only values of one type are compared."""
 
     NUMBER = "a number"
     TRUTH = "true or false"
@@ -37,7 +37,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FieldInfo:
-    """One thing that a condition may ask about."""
+    """Field that a condition may refer to."""
 
     kind: Kind
     what: str
@@ -56,7 +56,7 @@ Word = str | None
 
 @dataclass(slots=True)
 class VehicleSeen:
-    """The vehicle, as the operator's telemetry shows it."""
+    """Vehicle state as shown by the operator's telemetry."""
 
     mode: Annotated[Word, _word("the autopilot's flight mode", FlightMode)] = None
     is_armed: Annotated[Truth, "whether the motors may turn"] = None
@@ -76,7 +76,7 @@ class VehicleSeen:
 
 @dataclass(slots=True)
 class CompanionSeen:
-    """The companion, as its event log shows it."""
+    """Companion state as shown by its event log."""
 
     phase: Annotated[Word, _word("who flies, see flying.md", Phase)] = None
     is_in_control: Annotated[Truth, "whether the vehicle obeys its setpoints"] = None
@@ -90,7 +90,7 @@ class CompanionSeen:
 
 @dataclass(slots=True)
 class EstimateSeen:
-    """The companion's estimate of the target that it looks for now."""
+    """The companion's estimate of the current target."""
 
     emitter: Annotated[int | None, "id of the emitter that is looked for now"] = None
     state: Annotated[Word, _word("how much is known", EstimateState)] = None
@@ -112,7 +112,7 @@ class MissionSeen:
 
 @dataclass(slots=True)
 class FlightSituation:
-    """Everything that a condition may ask about."""
+    """All values that a condition may refer to."""
 
     vehicle: VehicleSeen = field(default_factory=VehicleSeen)
     companion: CompanionSeen = field(default_factory=CompanionSeen)
@@ -163,7 +163,7 @@ class ConditionError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A condition that is ready to be asked."""
+    """Parsed condition."""
 
     text: str
     _get: Getter
@@ -179,7 +179,7 @@ class Condition:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A piece of the condition: its type, and how to get at its value."""
+    """Part of a condition: its type, and the getter of its value."""
 
     kind: Kind
     get: Getter
@@ -221,7 +221,7 @@ def _lifted(function: Callable[..., Value], *parts: _Part) -> Getter:
 
 
 def _truth_of(node: ast.expr) -> _Part:
-    """Return a part that is true or false; `ConditionError`: it is something else."""
+    """Return a boolean part; `ConditionError`: it has another type."""
     return _part_of_kind(node, Kind.TRUTH, "compare it with something")
 
 
@@ -298,7 +298,7 @@ def _one_comparison(left: _Part, op: ast.cmpop, right: _Part, node: ast.expr) ->
 
 
 def _check_words(part: _Part, other: _Part) -> None:
-    """Refuse a word that the other side can never be, and one that stands for nothing."""
+    """Raise `ConditionError` for a word that the other side cannot equal, or an unknown one."""
     if part.word is None:
         return
     if not other.words:
@@ -365,7 +365,7 @@ def _unknown(part: _Part) -> ConditionError:
 
 
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return a hint at the most similar of the known names; empty where none is."""
+    """Return a hint at the most similar known name; empty if none is similar."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return f"; did you mean {close[0]}?" if close else ""
 

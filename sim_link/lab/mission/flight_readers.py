@@ -47,7 +47,7 @@ def rules_of(config: CompanionConfig) -> Rules:
 
 
 class TelemetryReader:
-    """Turns the vehicle's frames into the situation and the record of the flight."""
+    """Updates the situation and the record of the flight from the vehicle's frames."""
 
     def __init__(self, record: FlightRecord) -> None:
         self._record = record
@@ -116,7 +116,7 @@ class TelemetryReader:
                 self.throttle_us = message.chan3_raw
 
     def _hear(self, message: mavlink.MAVLink_statustext_message, now_s: float) -> None:
-        """Handle a text of the autopilot, once all of its pieces are there."""
+        """Handle a text of the autopilot, once all of its chunks have arrived."""
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
             return
         text, number = str(message.text), message.id
@@ -160,7 +160,7 @@ CONTROL_PHASES = frozenset(phase.value for phase in IN_CONTROL)
 
 
 class EventReader:
-    """Turns events of the companion into the record of the flight and the current situation.
+    """Updates the situation and the record of the flight from events of the companion.
 
     It is a companion's `Journal`, so that a companion in memory writes straight into it. An event
     that names no emitter is about the first one.
@@ -268,7 +268,7 @@ def _point(value: Any) -> Point:
 
 
 MACHINE_S = 0.25
-"""Real time that a process may wait for its turn without an effect."""
+"""Scheduling delay of a process, real time, that has no effect."""
 
 
 class WireWatch:

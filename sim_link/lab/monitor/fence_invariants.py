@@ -1,8 +1,9 @@
-"""I1 and I4: setpoints and the paths to them stay inside the fence, and each may be the last.
+"""I1 and I4: setpoints and the paths to them stay inside the fence, and each could be the last.
 
 A jump of the vehicle's own position is an error of the autopilot's, or the end of one; without the
-truth none can know which. So for two seconds nothing may be flown by the new position, and if
-that lies outside of fence or altitude band, nothing at all: the way back inside may be the way out.
+true position the two cannot be distinguished. So for two seconds the new position may not be used
+for guidance; if it is outside of fence or altitude band, the vehicle may not move at all: the path
+back inside may lead outside.
 """
 
 from __future__ import annotations
@@ -73,8 +74,8 @@ SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TA
 HEIGHT_ROUNDING_M = 0.05
 """Rounding of heights: home and height are reported in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
-"""Time for which the companion answers for the vehicle's position after it was in control; and for
-which a motion may be of what the vehicle did before."""
+"""Time after control for which the companion is responsible for the vehicle's position, and before
+it for which motion may be left over."""
 OUR_MOTION = frozenset({FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.LAND})
 """Modes that fly our setpoints, or brake the motion that these began."""
 FREEZE_EVERY_S = 2.0
@@ -100,7 +101,7 @@ class SetpointsInside(Invariant):
     def setpoint(self, setpoint: SentSetpoint) -> None:
         """Judge a setpoint by the vehicle position that the companion knew.
 
-        Without control it repeats the vehicle position; for an unknown peer's the peer answers.
+        Without control it repeats the vehicle position; an unknown peer's position is not judged.
         """
         self._judge_height(setpoint.position_enu_m[2])
         if not self.scene.is_lied_to or self.scene.observed.is_ours:
@@ -153,7 +154,7 @@ class InsideFence(SetpointsInside):
         self._reached = 0
         """Number of our setpoints that reached the vehicle since the last step."""
         self._taken = 0
-        """Number of setpoints accepted from any sender since it was switched on."""
+        """Number of setpoints that the vehicle accepted from any sender since boot."""
         self._is_dragged = False
         """True if it flies to a setpoint of another source."""
         self._dragged_s = -math.inf
@@ -367,7 +368,7 @@ MISSION_CURRENT = mavlink.MAVLINK_MSG_ID_MISSION_CURRENT
 
 
 class FenceIsRead(Invariant):
-    """In control, a fence that another station uploads is asked for.
+    """In control, a fence that another station uploads is requested.
 
     Not judged: a companion whose last request was not answered, because it pauses before the next
     one, and on PX4 the time before a MISSION_CURRENT with the fence's new id is heard.
@@ -402,7 +403,7 @@ class FenceIsRead(Invariant):
             self._since_s, self._asked_s = None, self.scene.now_s
 
     def stepped(self) -> None:
-        """Judge how long a changed fence was not asked for."""
+        """Check the time for which a changed fence was not requested."""
         scene, now_s = self._truth, self._truth.now_s
         before, self._fence = self._fence, scene.vehicle.aircraft.fence
         was_answered = scene.in_force.read_s >= self._asked_s

@@ -1,11 +1,11 @@
 """Geometry, fences in force, signatures and sender trust, written for the monitor alone.
 
-Nothing here is shared with the companion's guard and codec but the key, so that a mistake in one
-does not excuse itself in the other. Points are east and north, metres.
+Nothing here is shared with the companion's guard and codec but the key, so that a mistake in one is
+not repeated in the other. Points are east and north, metres.
 
-The autopilot's fences are those of the frames that reached the companion. A fence counts from when
-its last item has arrived: all items since the last MISSION_COUNT, in order. In the air every
-one of the flight counts on, on the ground only the newest.
+The autopilot's fences are those of the frames that reached the companion. A fence is in force once
+its last item has arrived: all items since the last MISSION_COUNT, in order. In the air every fence
+of the flight remains in force, on the ground only the newest.
 
 Source: MAVLink developer guide, "Mission Protocol"; MAVLink common, MAV_CMD_NAV_FENCE_*.
 """
@@ -31,7 +31,7 @@ INWARDS_M = 2.0 * BORDER_M
 
 
 def _is_wound_around(corners: Corners, point: Point) -> bool:
-    """Return True if the border's winding number about a point is not zero."""
+    """Return True if the border's winding number around a point is not zero."""
     winding = 0
     north = point[1]
     a = corners[-1]
@@ -116,7 +116,7 @@ MAGIC_V2, SIGNED_FLAG = 0xFD, 0x01
 class Proof:
     """Follows the newest timestamp of every component, of those that were read.
 
-    A frame that was dropped unread is as new as before, even if a copy of it arrives.
+    A frame that was dropped unread is still new when a copy of it arrives.
     """
 
     def __init__(self, key: SigningKey) -> None:

@@ -14,7 +14,7 @@ from sim_link.lab.monitor.scene import FRAME_STEP_M, TICK_S, Invariant, Observed
 from sim_link.lab.observer import Frame
 
 STREAM_BREAK_S = 0.35
-"""Pause after which a new stream begins, which starts where the vehicle is."""
+"""Pause after which a new stream begins, starting at the vehicle's position."""
 SHARE = 1.05
 TOLERANCE_M = 0.02
 """Rounding on the wire, and ticks that are not exactly a period apart."""
@@ -26,7 +26,7 @@ STILL_M = 0.02
 
 
 class WithinEnvelope(Invariant):
-    """Setpoints keep to speed, climb and acceleration, and begin where the vehicle is."""
+    """Setpoints keep to the limits of speed, climb and acceleration, and start at the vehicle."""
 
     name = "I2"
     title = "setpoints move within speed, climb, acceleration and lead, and begin at the vehicle"
@@ -292,7 +292,8 @@ NEGATIVE = 1e-9
 
 Estimate = Callable[[], TargetEstimate | None]
 Snapshot = Callable[[], tuple[str, object]]
-"""The phase, and what compares equal as long as nothing else changed that the companion acts by."""
+"""The phase, and a value that stays equal while the companion's other relevant state is
+unchanged."""
 
 
 class HonestCovariance(Invariant):

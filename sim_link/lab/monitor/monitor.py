@@ -1,9 +1,10 @@
-"""The monitor: an observer of a flight that reports every invariant that does not hold.
+"""Monitor: an observer of a flight that reports violated invariants.
 
 Theory of operation. One `ObservedScene` keeps the reports to the companion and the truth; thirteen
 small invariants (I1 to I13) look at it whenever a frame is sent or heard, a tick is over or the
 vehicle moved. None uses the companion's own guard, estimator or guidance; its own reports (its
-phase, its estimate) are only checked. A `Scope` says by which of them a kind of flight is judged.
+phase, its estimate) are only checked. A `Scope` selects the invariants by which a kind of flight is
+judged.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ SETPOINTS = (
 VEHICLE_PEER = ("127.0.0.1", 14580)
 """Address of the vehicle in lockstep."""
 NOTICE_S = 2.0
-"""Three returns from one clock to the other, and a second in which both ran."""
+"""Time to detect two clocks: three changes between them, and a second in which both ran."""
 
 TITLES = {
     kind.name: kind.title
@@ -112,7 +113,7 @@ class FrameMonitor(Observer):
         }
 
     def _show(self, what: str, *values: object) -> None:
-        """Show something to the invariants that look at it."""
+        """Pass an event to the invariants that handle it."""
         for hook in self._hooks[what]:
             hook(*values)
 

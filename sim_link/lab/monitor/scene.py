@@ -24,7 +24,7 @@ from sim_link.lab.observer import Frame
 Corners = tuple[tuple[float, float], ...]
 
 TICK_S = 0.05
-"""One control tick, the slowest: how late an answer to a frame may be."""
+"""Longest control period: an answer to a frame may be late by it."""
 
 
 class Rules(Params, frozen=True):
@@ -46,7 +46,7 @@ class Rules(Params, frozen=True):
     """Delay from a measurement of the vehicle's motion until it follows the setpoint."""
     navigation_sigma_m: NonNegative = 0.3
     state_age_s: Positive = 0.5
-    """Longest age of a vehicle position that the companion flies by."""
+    """Longest age of a vehicle position that guidance may use."""
     answer_s: Positive = TICK_S
     """Time for which a setpoint may still leave after a frame that ends control."""
     gap_s: Positive = 0.1
@@ -90,7 +90,7 @@ REMEMBERED = 6000
 """Number of the vehicle's latest frames whose time of sending is kept."""
 PX4_OFFBOARD_MAIN, ARDUPILOT_GUIDED = 6, 4
 FRAME_STEP_M = 1.0
-"""Step of an origin that has taken the local frame with it."""
+"""Step of an origin above which the local frame has moved as well."""
 METRES_ROUNDING_M = 2e-3
 """Rounding of single precision some kilometres from the origin."""
 DEGREES_ROUNDING_M = 9e-3
@@ -152,7 +152,7 @@ class SentSetpoint:
 class ObservedScene:
     """Shared by all invariants of one flight; subclasses know more or less of the vehicle.
 
-    What is None is not known yet; heights and positions are in the world's frame.
+    None stands for unknown; heights and positions are in the world's frame.
     """
 
     rules: Rules
@@ -168,7 +168,7 @@ class ObservedScene:
     tick_s: float | None = None
     """Time of the companion's last control tick."""
     suspended_until_s: float = -1.0
-    """The companion process gets no time until then."""
+    """Time until which the companion process is suspended."""
     must_accept: bool = True
     """True if the last frame had to be accepted."""
     is_indistinct: bool = False
@@ -304,7 +304,7 @@ class ObservedScene:
 
     @property
     def seen_at(self) -> tuple[tuple[PositionEnu, float], ...]:
-        """Positions where the companion may take the vehicle to be, each with when it arrived.
+        """Positions that the companion may assume for the vehicle, each with its arrival time.
 
         That is the newest; and, while it would not be stale, the last one before the stamps went
         back, because some such stamps are not proof yet that the vehicle restarted, or the newest

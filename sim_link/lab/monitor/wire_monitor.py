@@ -1,9 +1,9 @@
-"""Monitor of real processes: plays back and judges the recorded frames.
+"""Monitor of real processes, which plays back and judges recorded frames.
 
-Theory of operation. The vehicle is what it says of itself, and only invariants are asked that need
-no more (see `monitor.WIRE`). Times are those at which frames passed the recorder; on a busy machine
-they are late by what a process waited for its turn. Limits of time are wider by that much, and
-setpoints are compared by the stamps that the companion gave them.
+Theory of operation. The vehicle's own reports stand for its state, and only invariants that need no
+more are judged (see `monitor.WIRE`). Times are those at which frames passed the recorder; on a busy
+machine they are late by the scheduling delay. Time limits are wider by it,
+and setpoints are compared by the stamps that the companion gave them.
 """
 
 from __future__ import annotations
