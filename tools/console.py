@@ -113,7 +113,7 @@ def done_by(
 
 
 def progress_lines(total: float, stream: TextIO, clock: Callable[[], float]) -> OnDone:
-    """Return what adds finished work, and writes a line now and then, the first after some time.
+    """Return a callback that adds finished work, and occasionally writes a line.
 
     Args:
         clock: Monotonic seconds.

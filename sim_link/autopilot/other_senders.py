@@ -1,8 +1,8 @@
 """Other senders besides the vehicle: its radio payload, components, and a second ground station.
 
-The radio payload measures the emitters and sends what it heard. A radio that integrates, averages
-or buffers reports late: what it sends and stamps now it measured `lag_s` ago, at the position and
-attitude of that time.
+The radio payload measures the emitters and sends the measurements. A radio that integrates,
+averages or buffers reports late: what it sends and stamps now it measured `lag_s` ago, at the
+position and attitude of that time.
 
 Each other component sends a HEARTBEAT a second, and what is typical of it. They are not part of the
 autopilot, and are heard on all of its links, as components are whose frames it passes on.
@@ -10,9 +10,8 @@ autopilot, and are heard on all of its links, as components are whose frames it 
 Source: MAVLink common, MAV_COMPONENT and MAV_TYPE; MAVROS2 (`1/191`, TIMESYNC at 10 Hz), STorM32
 gimbals (MAV_AUTOPILOT_GENERIC) and mavp2p (system 125, a station without autopilot) as heard.
 
-The ground station orders what an incident says. It speaks to the vehicle over a line of its own, so
-the companion hears its orders only by what the autopilot shows of them; on a line that both share
-it hears the answers, too.
+The ground station sends the commands of an incident. It has its own link to the vehicle, so the
+companion sees only their effects; on a shared link it receives the answers, too.
 """
 
 from __future__ import annotations

@@ -91,7 +91,7 @@ class Pilot:
         self.goal_enu_m: PositionEnu | None = None
         """Current goal of the task; None if it has no position, as with moved sticks."""
         self.wanted_enu_mps: PositionEnu = (0.0, 0.0, 0.0)
-        """The velocity that the task wanted last."""
+        """Latest velocity command of the task."""
 
     def enter(self, task: Task, body: Kinematics) -> None:
         """Begin a new task."""

@@ -89,7 +89,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
     correlation_m: NonNegative = 0.0
     """Distance over which the open path's obstruction decorrelates to 1/e; 0: independent draws."""
     range_step_m: NonNegative = 0.0
-    """Ranges come in whole steps of this; 0: as they are."""
+    """Quantisation step of ranges; 0: none."""
     range_sigma_growth: NonNegative = 0.0
     """Share of the slant range that noise has on top of `range_sigma_m`, in quadrature."""
     burial_m: NonNegative = 0.0
@@ -97,7 +97,7 @@ class FieldChannelParams(ChannelParams, frozen=True):
     permittivity: Permittivity = 7.0
     """Relative permittivity of the slab: concrete 6 to 8, dry rubble 2 to 4."""
     p_gross: Share = 0.0
-    """Share of the directions that come from anywhere."""
+    """Share of gross errors among the directions, uniform over all angles."""
     gross_correlation_m: NonNegative = 5.0
     """Distance over which these last; 0: every draw is new."""
     loss: LossParams | None = None
@@ -135,7 +135,7 @@ class EmitterParams(Params, frozen=True):
 
 
 class Emitter:
-    """A radio that does not move."""
+    """Stationary radio."""
 
     def __init__(self, params: EmitterParams) -> None:
         self.emitter_id = params.emitter_id

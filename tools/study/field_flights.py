@@ -1,11 +1,11 @@
 """Flights of the whole companion among true radios: its reports, and their errors.
 
 Companion and vehicle are joined in memory. A flight ends with the report, or at the time limit.
-Seeds vary not only the noise, so that nothing is fitted to one site: the emitter lies anywhere in
-a ring around home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
+Seeds vary not only the noise, so that nothing is fitted to one site: the emitter lies anywhere in a
+ring around home, evenly by area, and the unknown constants are drawn for each flight. Offsets,
 compass and mount are uniform, with the scenario's figure as root mean square (of the range, which
 is never too short: between 0 and twice the figure); the wind turns. All planners and configurations
-of a seed meet the same.
+of a seed have the same.
 """
 
 from __future__ import annotations

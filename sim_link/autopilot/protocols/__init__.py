@@ -1,5 +1,5 @@
 """MAVLink's microservices as small state machines: messages and time in, messages out.
 
-Nothing here knows a vehicle, a socket or a clock. What a vehicle must do about a message comes out
-as a value; what it has to say goes in as one.
+They know no vehicle, socket or clock. Actions for the vehicle are returned as values, and its
+results are passed in as values.
 """

@@ -25,7 +25,7 @@ V = TypeVar("V")
 
 
 class Newest(OrderedDict[K, V]):
-    """The entries that were set last; of more than `most` the oldest gives way."""
+    """The entries that were set last; beyond `most` the oldest is dropped."""
 
     def __init__(self, most: int) -> None:
         super().__init__()
@@ -115,7 +115,7 @@ MAX_ID = 0xFFFF
 
 
 class StatusTexts:
-    """Makes the messages of texts, and gives out the ids that hold long ones together."""
+    """Builds STATUSTEXTs, and assigns the ids that join the chunks of long texts."""
 
     def __init__(self) -> None:
         self._last_id = 0

@@ -63,7 +63,7 @@ ASKS_FOR_A_MESSAGE = frozenset(
         mavlink.MAV_CMD_GET_MESSAGE_INTERVAL,
     }
 )
-"""Obeyed each time: a client repeats one if it has not got the message."""
+"""Commands that are executed each time: a client repeats one if the message is missing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ def fly_in_memory(
     progress: Progress | None = None,
     make_companion: MakeCompanion = build_endpoint,
 ) -> results.MissionResult:
-    """Fly a mission once, perhaps with a companion that is to fail."""
+    """Fly a mission once; `make_companion` may return a modified companion."""
     started, started_cpu = time.perf_counter(), time.process_time()
     flight = _MissionFlight(mission, seed, make_companion)
     flight.fly(progress)
@@ -84,7 +84,7 @@ class _MissionFlight:
         self._slices = 0
 
     def fly(self, progress: Progress | None) -> None:
-        """Fly the mission, from switching on to the last step."""
+        """Fly the mission, from power-on to the last step."""
         flight, runner = self._flight, self._runner
         while True:
             self._look()
@@ -101,7 +101,7 @@ class _MissionFlight:
         self.record.closest_approach_m = closest_m if math.isfinite(closest_m) else None
 
     def _look(self) -> None:
-        """Bring the situation up to date from the vehicle itself."""
+        """Update the situation from the vehicle's true state."""
         flight, seen = self._flight, self.record.situation.vehicle
         vehicle, now_s = flight.sim.vehicle, flight.now_s
         self._reader.age(now_s)

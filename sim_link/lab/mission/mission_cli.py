@@ -1,7 +1,7 @@
 """`sim-link mission run`: arguments, progress on a terminal, JUnit XML and exit codes.
 
-In JUnit XML, as continuous integration reads it, a flight is a suite and an expectation a case; a
-flight that did not come to an end, or has no report, has a case with an error.
+In JUnit XML, as continuous integration reads it, a flight is a suite and an expectation a case; an
+unfinished flight, or one without a report, has a case with an error.
 """
 
 from __future__ import annotations
@@ -341,7 +341,7 @@ def _speed(arguments: argparse.Namespace) -> float | None:
 
 
 def campaign_lines(results: list[MissionResult]) -> list[str]:
-    """Summarise a campaign in lines for people: each mission, then all of them."""
+    """Return the summary of a campaign as text: each mission, then all of them."""
     runs: dict[tuple[str, str], list[MissionResult]] = {}
     for result in results:
         runs.setdefault((result.mission.name, result.flavour), []).append(result)

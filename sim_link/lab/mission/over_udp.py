@@ -1,10 +1,10 @@
 """Flies a mission with real processes over UDP, the operator's side through MAVSDK.
 
 Theory of operation. The companion is the `companion` command in a process of its own. The vehicle
-is `sim-link` in another, or a vehicle on the link that was given. Between them stands the
-hub, in this process: it shares the vehicle's one link among companion, operator and radio, keeps
-the `.tlog`, injects the faults of the link, and looks at the mission ten times a second of flight.
-Everything starts before the first frame is passed on, so the mission's time is the companion's.
+is `sim-link` in another, or a vehicle on a given link. Between them is the hub, in this process: it
+shares the vehicle's one link among companion, operator and radio, keeps the `.tlog`, injects the
+faults of the link, and looks at the mission ten times a second of flight. Everything starts before
+the first frame is passed on, so the mission's time is the companion's.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ SILENCE_S = 15.0
 HAND_BACK_S = 3.0
 """Real time that the companion may take to hand the vehicle back."""
 HOME_S = 5.0
-"""Real time for asking a vehicle of others to come home after a mission that failed."""
+"""Real time for a request of an external vehicle to return after a failed mission."""
 MID_THROTTLE_US = range(1400, 1601)
 """Throttle at which neither autopilot climbs or sinks by sticks, in its dead zone."""
 TRANSMITTER_S = 10.0
@@ -75,9 +75,9 @@ def fly_over_udp(
     keep: Path | None = None,
     progress: Progress | None = None,
 ) -> MissionResult:
-    """Fly a mission once, at `speed` seconds per second or as fast as this computer manages.
+    """Fly a mission once, at `speed` times real time or as fast as this computer allows.
 
-    The speed of a vehicle to `connect` to cannot be changed; that of a simulated one is lowered.
+    The speed of a vehicle at `connect` cannot be changed; that of a simulated one is lowered.
     The seed is that of a simulated vehicle, which is started unless a link to `connect` to is
     given, its radio and its faults. `keep` is a folder for `.tlog`, event log and output of the
     processes. `progress` is called after every look. `CompanionError`: a process or link does not
@@ -267,7 +267,7 @@ class _UdpFlight:
     def _misfit(self, now_s: float) -> str | None:
         """Return the reason why the script does not fit the vehicle; empty: it fits; None: unknown.
 
-        A vehicle that is not ours keeps its pilot's transmitter: only the pilot can put the
+        An external vehicle keeps its pilot's transmitter: only the pilot can put the
         throttle where a mode for sticks neither climbs nor sinks; ArduPilot's simulator has it at
         its lowest.
         """
@@ -294,7 +294,7 @@ class _UdpFlight:
             self._progress(self._runner, self.record.situation)
 
     def _interrupt(self, now_s: float) -> None:
-        """Handle a signal: let the companion leave the vehicle in its own hold."""
+        """Handle a signal: let the companion hand the vehicle back to its hold mode."""
         if self._end_wall_s is None:
             self.record.is_interrupted = True
             self._runner.abandon("interrupted", now_s)
@@ -305,7 +305,7 @@ class _UdpFlight:
         self._end_wall_s = time.monotonic()
 
     def _end(self) -> None:
-        """Bring a vehicle of others home, have the companion hand back, then let go."""
+        """Send an external vehicle home, let the companion hand back, then disconnect."""
         began = self._end_wall_s or 0.0
         vehicle, waited_s = self.record.situation.vehicle, time.monotonic() - began
         is_stranded = self._connect is not None and self._runner.failure and vehicle.is_armed
@@ -338,7 +338,7 @@ class _UdpFlight:
             self._reader.record(kind, event, max(0.0, time_s + self._offset_s))
 
     def _check_children(self, now_s: float) -> None:
-        """End the mission when something that it needs is gone."""
+        """End the mission if a process or link that it needs is gone."""
         silent_s = time.monotonic() - self._heard_wall_s
         for child in (self._vehicle, self._radio):
             if child is not None and not child.is_alive:

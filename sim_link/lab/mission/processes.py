@@ -1,12 +1,12 @@
-"""The processes of a mission: children, the hub that links them, their faults, the operator.
+"""Processes of a mission: children, the hub that links them, their faults, and the operator.
 
-Theory of operation. The hub is a router: what the vehicle says goes to all of its clients, what a
-client says to the vehicle and to the other clients. It does not know the vehicle's ids; it answers
-to the address where the vehicle was heard. Between vehicle and companion lies a wire, which may be
-a `FaultyLink`: the operator's link is never touched by faults. A timer drives the mission. Faults
-of the processes are signals, those of the vehicle incidents sent to the simulator.
+Theory of operation. The hub is a router: frames of the vehicle go to all clients, those of a client
+to the vehicle and the other clients. It does not know the vehicle's ids; it sends to the address of
+the vehicle's latest frame. Between vehicle and companion is a wire, which may be a `FaultyLink`:
+the operator's link has no faults. A timer drives the mission. Faults of the processes
+are signals, those of the vehicle incidents sent to the simulator.
 
-The operator arms, takes off, switches modes, comes home and lands through MAVSDK.
+The operator arms, takes off, switches modes, returns and lands through MAVSDK.
 """
 
 from __future__ import annotations
@@ -152,12 +152,12 @@ class ProcessHarness:
         self._now_s = 0.0
         self._due = sched.scheduler(lambda: self._now_s, lambda _: None)
         self.is_companion_down = False
-        """True while the companion is meant not to run."""
+        """True while a fault keeps the companion from running."""
         self._suspended_until_s = -math.inf
         self.has_restarted_companion = False
 
     def inject(self, fault: faults.Fault, now_s: float) -> None:
-        """Have a fault begin `fault.start_s` from now."""
+        """Schedule a fault to begin `fault.start_s` from now."""
         self._wire.add(fault, now_s)
         start_s, at = now_s + fault.start_s, self._due.enterabs
         match fault:
@@ -207,7 +207,7 @@ class ProcessHarness:
 
 
 def check_faults(mission: Mission, name: str) -> None:
-    """Make sure, before any process starts, that every fault of a script can be injected."""
+    """Check, before any process starts, that every fault of a script can be injected."""
     for number, (_, step) in enumerate(mission.named_steps):
         is_incident = isinstance(step, IncidentRecord)
         if isinstance(step, faults.SecurityFault) or (
@@ -218,7 +218,7 @@ def check_faults(mission: Mission, name: str) -> None:
 
 
 def vehicle_fault_of(mission: Mission) -> str:
-    """Return the reason why a script cannot fly a vehicle that is not ours; empty: none."""
+    """Return the reason why a script cannot fly an external vehicle; empty: none."""
     for number, (name, step) in enumerate(mission.named_steps, 1):
         if isinstance(step, VehicleFault):
             return f"step {number} {name}: a vehicle that is not ours cannot be broken"

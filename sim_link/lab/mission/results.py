@@ -57,7 +57,7 @@ class StepOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A target that the companion reported."""
+    """Report of a target by the companion."""
 
     time_s: float
     emitter: int | None
@@ -67,7 +67,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class OperatorText:
-    """Handle a text for the operator."""
+    """Text for the operator."""
 
     time_s: float
     source: str
@@ -76,7 +76,7 @@ class OperatorText:
 
 @dataclass(slots=True)
 class FlightRecord:
-    """One flight as it was seen; times are seconds since the mission began."""
+    """Record of one flight; times are seconds since the mission began."""
 
     situation: FlightSituation = field(default_factory=FlightSituation)
     """Situation at the moment, or at the end."""
@@ -109,7 +109,7 @@ class FlightRecord:
     slack_s: float = 0.0
     """Extension of the time limits over those in lockstep, in seconds of flight."""
     late_s: float = 0.0
-    """Largest delay of the hub's turn, in seconds of flight: the load of the machine."""
+    """Largest scheduling delay of the hub, in seconds of flight."""
     slowed_to: str = ""
     """Speed that the machine kept up with; empty: the requested one."""
     is_interrupted: bool = False
@@ -167,7 +167,7 @@ class ExpectationVerdict:
     name: str
     is_met: bool
     found: str
-    """Result, next to the expected one."""
+    """Result, shown beside the expectation."""
 
 
 def verdicts_of(mission: Mission, record: FlightRecord) -> tuple[ExpectationVerdict, ...]:
@@ -319,14 +319,14 @@ def flight_name(mission: str, flavour: str, how: str, seed: int) -> str:
 
 
 def how_flown(speed: float | None, connect: str | None) -> str:
-    """Return `lockstep` (no speed), `speed 4`, or the link to a vehicle that is not ours."""
+    """Return `lockstep` (no speed), `speed 4`, or the link to an external vehicle."""
     if connect is not None:
         return connect
     return "lockstep" if speed is None else f"speed {speed:g}"
 
 
 BUSY_S = 0.2
-"""Wait of a process for its turn above which setpoints and positions are lost."""
+"""Scheduling delay of a process above which setpoints and positions are lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,7 +401,7 @@ class MissionResult:
 
     @property
     def pace(self) -> str:
-        """Speed that was flown instead of the one asked for; empty: as asked."""
+        """Actual speed if it differs from the requested one; empty: as requested."""
         slowed_to = self.record.slowed_to
         return (
             f"this computer is too busy for {self.how}: slowed to {slowed_to}" if slowed_to else ""

@@ -25,7 +25,7 @@ from sim_link.world.environment import Coordinate, EmitterId
 Source = Literal["companion", "autopilot"]
 INVARIANTS = tuple(f"I{number}" for number in range(1, 13))
 NEVER_JUDGED = {"I10", "I12"}
-"""Invariants that no flight alone can show: see missions.md."""
+"""Invariants that a single flight cannot show: see missions.md."""
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 
 
@@ -36,7 +36,7 @@ class Bound(Params, frozen=True):
     at_least: NotNegative | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a bound that bounds nothing, and one that nothing can keep."""
+        """Raise `ValueError` for a bound without a limit, and for one that no value can meet."""
         if self.at_most is None and self.at_least is None:
             raise ValueError("give at_most, at_least or both")
         if self.at_most is not None and self.at_least is not None and self.at_least > self.at_most:
@@ -231,14 +231,14 @@ class PilotOverrideStep(StepParams, frozen=True):
 
 
 class HoldStep(StepParams, frozen=True):
-    """The operator has the vehicle hold its position, for a while."""
+    """The operator lets the vehicle hold its position for a time."""
 
     for_s: Duration = 0.0
     limit_s: Limit = 15.0
 
 
 class ReturnStep(StepParams, frozen=True):
-    """The operator sends the vehicle home; over once it stands there, disarmed."""
+    """The operator requests the return; over once the vehicle is home and disarmed."""
 
     limit_s: Limit = 240.0
 

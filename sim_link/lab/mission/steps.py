@@ -1,10 +1,10 @@
 """Flies a script step by step, without a clock or a link.
 
-Theory of operation. A tick looks at the situation and asks whether the step that is due is over.
-A step begins with what it asks of the operator, is asked again every two seconds while nothing of
-it shows (an autopilot that is not ready yet refuses, and a frame may be lost), and ends when its
-effect is seen, never by an answer alone. A step that takes longer than its limit, or the mission
-longer than its own, ends the mission.
+Theory of operation. A tick evaluates the situation and checks if the current step is over. A step
+begins with a request to the operator, repeats it every two seconds until an effect shows (an
+autopilot that is not ready refuses, and a frame may be lost), and ends when its effect is complete,
+never by an answer alone. A step that takes longer than its limit, or the mission longer than its
+own, ends the mission.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from sim_link.lab.observer import Frame
 EPSILON_S = 1e-6
 HERE_M = 2.0
 QUIET_S = 2.0
-"""Time for which a vehicle that was taken by choice stays in silence."""
+"""Time of silence after control was taken by choice."""
 BY_STICKS = "the pilot moves the sticks"
 """The companion's word for the one end of control in its own mode that is a person's choice."""
 GRANT_S = 3.0
@@ -76,7 +76,7 @@ class OnlyWithAuthority(Invariant):
         self._is_launching = False
 
     def noted(self, kind: str, fields: Mapping[str, object]) -> None:
-        """Mark control as lost until it is given again, even in its mode."""
+        """Mark control as lost until it is handed over again, even in its mode."""
         if kind != "phase":
             return
         self._is_launching = fields.get("new") == "launching"
