@@ -24,7 +24,7 @@ from companion.planning.planner import Planner, PlanRequest
 TARGET_M = (12.0, 9.0)
 RADIUS_M = 20.0
 FAR_M = 500.0
-"""Distance beyond which a target is approached from the side by an array, beyond any overshoot."""
+"""Target distance at which an array approaches from the side, beyond any overshoot."""
 HEIGHT_M = 15.0
 SMALL_WINDOW = 32
 """Measurements; the least that a configuration may have, so it is full and thinned out soonest.

@@ -241,7 +241,7 @@ def _fleet_options(arguments: argparse.Namespace) -> FleetOptions:
 
 
 def _scenario(arguments: argparse.Namespace) -> Scenario:
-    """Return the scenario of the command line, which has the last word."""
+    """Return the scenario; options of the command line override its file."""
     scenario = load_scenario(arguments.scenario) if arguments.scenario else Scenario()
     vehicles, ready_after_s = arguments.vehicles, arguments.ready_after
     given = {"flavour": arguments.autopilot, "ready_after_s": ready_after_s}

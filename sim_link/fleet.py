@@ -1,8 +1,8 @@
 """Builders of vehicles, links and files from the options; several run behind one shell.
 
-Vehicle n (from 0) has the system id of the scenario plus n, and so it is with every port but the
-ground station's, which all of them send to, as PX4's simulated vehicles do. In one process their
-links stand side by side and their steps are taken in turn.
+Vehicle n (from 0) has the system id of the scenario plus n, and so has every port but the ground
+station's, to which all of them send, as PX4's simulated vehicles do. In one process their links are
+numbered consecutively and their steps alternate.
 """
 
 from __future__ import annotations
@@ -83,14 +83,14 @@ def end_report(endpoint: SimEndpoint, seed: int, speed: float) -> dict[str, obje
 
 
 class Fleet:
-    """Endpoints that share nothing but the loop, as one; each has `links_each` links in a row."""
+    """Independent endpoints behind one loop; each has `links_each` consecutive links."""
 
     def __init__(self, endpoints: Sequence[SimEndpoint], links_each: int) -> None:
         self.endpoints = tuple(endpoints)
         self._links_each = links_each
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Give bytes to the vehicle whose link it is."""
+        """Pass bytes to the vehicle of their link."""
         index, link = divmod(chunk.link, self._links_each)
         self.endpoints[index].receive(chunk._replace(link=link), now_s)
 

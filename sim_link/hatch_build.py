@@ -1,7 +1,7 @@
 """Build hook of both distributions: wheels bring man pages and bash completions.
 
 They are generated from the commands' argument parsers, where these and the two generators can be
-imported: `make dist` has them, an isolated build (`pip install .`) has not and leaves them out.
+imported: `make dist` can, an isolated build (`pip install .`) cannot and leaves them out.
 """
 
 from __future__ import annotations

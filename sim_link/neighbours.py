@@ -29,7 +29,7 @@ COMPONENT_BYTE = 6
 STREAM_S = 0.1
 """Period of its own companion's setpoints and requests."""
 NEIGHBOURS_UID = 4096
-"""Hardware id less the system id: its hardware is another one than that of our vehicle."""
+"""Hardware id less the system id, different from that of our vehicle."""
 STREAMS = (
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
     mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -39,7 +39,7 @@ STREAMS = (
 
 
 class Neighbour:
-    """One other vehicle, switched on and in the air now; heard from `peer`, None: on our links."""
+    """One other vehicle in the air; heard from `peer`, None: on our links."""
 
     def __init__(
         self, setup: OtherVehicle, scenario: Scenario, peer: Address | None, now_s: float
@@ -80,7 +80,7 @@ class Neighbour:
         self.sim.receive(Chunk(0, self._codec.encode(message), None), now_s)
 
     def _lift(self, up_m: float, now_s: float) -> None:
-        """Put it into the air, armed, in the mode that it shall be found in."""
+        """Place it in the air, armed, in its configured mode."""
         vehicle = self.sim.vehicle
         position = (*vehicle.body.position_enu_m[:2], up_m)
         vehicle.body.position_enu_m = position
@@ -145,7 +145,7 @@ class FleetAmongOthers:
     def __init__(self, fleet: Endpoint, scenario: Scenario, links: int, shared: int) -> None:
         self._fleet, self._scenario, self._links = fleet, scenario, links
         self._waiting: list[tuple[OtherVehicle, range]] = []
-        """Neighbours that are not there yet, and their links."""
+        """Neighbours that have not appeared yet, and their links."""
         self._here: list[tuple[Neighbour, range]] = []
         self._gone: list[Neighbour] = []
         for setup in scenario.other_vehicles:
@@ -159,7 +159,7 @@ class FleetAmongOthers:
         return [*self._gone, *(each for each, _ in self._here)]
 
     def receive(self, chunk: Chunk, now_s: float) -> None:
-        """Give bytes to every vehicle that is reached by their link."""
+        """Pass bytes to every vehicle on their link."""
         for other, links in self._here:
             if chunk.link in links:
                 other.sim.receive(Chunk(0, chunk.data, None), now_s)

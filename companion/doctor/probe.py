@@ -1,4 +1,4 @@
-"""The doctor on the wire: it listens, sends requests, and changes nothing that lasts.
+"""The doctor on the wire: it listens and sends requests, without lasting changes.
 
 Theory of operation. It sends under the companion's ids (its component of the vehicle's system),
 requests the streams that a flight needs, with the flight's own requester, and lets them settle

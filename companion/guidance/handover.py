@@ -206,7 +206,7 @@ class Handover:
             context.announce(Severity.NOTICE, text)
 
     def is_yield_over(self, now_s: float) -> bool:
-        """Return True if a yield ends, as another mode was chosen; announce a grant if needed."""
+        """Return True if a yield ends as another mode was selected; announce a needed grant."""
         context, authority = self._context, self._context.authority
         if authority.may_begin:
             return context.enter(Trigger.MODE_LEFT, now_s)

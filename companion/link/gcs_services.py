@@ -42,7 +42,7 @@ ANSWERS_PER_S = 50
 REFUSALS_PER_S, REFUSAL_BURST = 0.5, 5
 """Rate and burst of texts about refusals; clients retry."""
 VALUES_PER_TICK = 2
-"""Parameters of a list per tick: a slow line carries setpoints first."""
+"""Parameters of a list per tick: on a slow line setpoints have precedence."""
 ALL_COMPONENTS = 0
 
 DOES_NOT_EXIST = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST

@@ -5,15 +5,15 @@ delivered as 1/1, and a router may bring both from one address. One vehicle is r
 continuity: `time_boot_ms` grows as our own clock does, its position is reachable from the last one,
 and its sequence numbers follow each other. `IdentityCourse` follows that at one address.
 
-A stamp that contradicts the course begins another one in parallel, and is withheld until the case
-is clear. Delayed frames are late, but do not alternate with prompt ones. A clock that slips, and a
-restart, leave the old course for good: a slip is by seconds and keeps position or sequence, a
-restarted clock shows no more time than has passed. Any other change for good is another vehicle in
-its place. And where frames return to the old course several times, two vehicles send. Position
-alone is not proof of two, because a bad estimator may flip between two positions: then the sequence
-numbers must be those of two counters, too.
+A stamp that contradicts the course begins another one in parallel, and is withheld until it is
+classified. Delayed frames are late, but do not alternate with prompt ones. A clock that slips, and
+a restart, leave the old course permanently: a slip is by seconds and keeps position or sequence, a
+restarted clock shows no more time than has passed. Any other permanent change is another vehicle in
+its place. If frames return to the old course several times, two vehicles send. Position alone is
+not proof of two, because a bad estimator may flip between two positions: then the sequence numbers
+must be those of two counters, too.
 
-The hardware id distinguishes vehicles with the same ids for certain. AUTOPILOT_VERSION contains it,
+The hardware id reliably distinguishes vehicles with the same ids. AUTOPILOT_VERSION contains it,
 and autopilots send that on request only. So it is requested when an autopilot is bound, again when
 its address changed or it was silent for a while, and as long as two ids are answered. Nothing waits
 for the answer, and an autopilot that reports none, as many simulators do, is not doubted for it.

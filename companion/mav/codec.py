@@ -8,9 +8,9 @@ so a wrong length byte never swallows the good frame behind it (pymavlink's own 
 MAVLink 2 frame with an unknown incompatibility flag is dropped whole, as the protocol requires,
 once its CRC has verified it.
 
-A message that is not in the dialect cannot be verified. For a router it is assumed a frame, but
-kept apart, if it ends where the data ends or a frame begins and no good frame lies within it. The
-end of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
+A message that is not in the dialect cannot be verified. For a router it is taken as a frame, but
+kept separately, if it ends where the data ends or a frame begins and no good frame lies within it.
+The end of a datagram ends every candidate; a stream keeps at most one unfinished frame (280 bytes).
 
 Theory of operation of messages. The sequence number is set here (`pack` does not advance it), and
 signatures are verified here, before pymavlink sees a frame. No input from a peer raises an

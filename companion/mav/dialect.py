@@ -10,7 +10,7 @@ them with mavgen's output.
 Source: MAVLink developer guide, "Serialization" (order of fields); MAVLink common,
 POSITION_TARGET_TYPEMASK and COMMAND_CANCEL; ArduPilot dialect, EKF_STATUS_REPORT.
 
-RADIO_RANGING from a measurement; TARGET_ESTIMATE in a TUNNEL past an autopilot, and out of it.
+It also builds RADIO_RANGING from a measurement, and carries TARGET_ESTIMATE in a TUNNEL.
 
 `companion.link.ranging_sources` is the inverse for a ranging. Conversion to degrees, NED and the
 sentinels (NaN, UINT8_MAX) happens here.

@@ -46,7 +46,7 @@ class Endpoint(Protocol):
         """Process bytes that arrived on a link."""
 
     def handle_timer(self, now_s: float) -> None:
-        """Do the work that is due; called at `next_timer_s` or later."""
+        """Run the tasks that are due; called at `next_timer_s` or later."""
 
     def next_timer_s(self) -> float:
         """Return the time of the next call of `handle_timer`."""

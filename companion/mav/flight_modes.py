@@ -136,7 +136,7 @@ def class_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> VehicleClass:
 
 
 def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | None:
-    """Return the autopilot that sent a HEARTBEAT; None if its sender flies nothing.
+    """Return the autopilot that sent a HEARTBEAT; None if its sender is not an autopilot.
 
     By type, stations, gimbals, cameras, onboard computers, ADS-B receivers and the like are
     excluded, whatever their `autopilot` field. MAV_AUTOPILOT_INVALID is "no autopilot", and GENERIC
@@ -157,7 +157,7 @@ def autopilot_of(heartbeat: mavlink.MAVLink_heartbeat_message) -> Autopilot | No
 
 
 def is_of_component(message: Message) -> bool:
-    """Return True for a HEARTBEAT of a sender that flies nothing, whatever its ids."""
+    """Return True for a HEARTBEAT of a sender that is not an autopilot, whatever its ids."""
     return isinstance(message, mavlink.MAVLink_heartbeat_message) and autopilot_of(message) is None
 
 

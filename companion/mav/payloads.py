@@ -1,15 +1,15 @@
-"""Fields of payloads, read without pymavlink: target ids, identified plans, parameter values.
+"""Payload fields that are read without pymavlink: target ids, plan ids, parameter values.
 
 Target ids of a frame are read from its bytes: a router need neither decode nor trust it.
 
-Also TIMESYNC with the two target fields and MISSION_CURRENT with the plans' ids, which pymavlink's
-dialects lack: they are extensions behind the other fields, so a receiver that does not know them
-reads the same message.
+TIMESYNC with the two target fields and MISSION_CURRENT with the plans' ids, which pymavlink's
+dialects lack, are defined here: they are extensions behind the other fields, so a receiver that
+does not know them reads the same message.
 
 Source: MAVLink common, TIMESYNC and MISSION_CURRENT; MAVLink developer guide, "Routing" and
 "Serialization".
 
-Parameter values on the wire: four bytes that encode an integer in one of two ways.
+Parameter values are four bytes on the wire, which encode an integer in one of two ways.
 
 PX4 puts the integer's own bytes into PARAM_VALUE's float field (bytewise), ArduPilot the nearest
 float (C cast); AUTOPILOT_VERSION.capabilities identifies the encoding. The bytes are read from and

@@ -54,7 +54,7 @@ MAX_BEHIND = 6_000_000
 """Largest lag behind ours of a new stream's first timestamp, in units of 10 us: one minute."""
 MAX_TIMESTAMP = 2**48 - 1
 MAX_HEARD = MAX_TIMESTAMP - 2**40
-"""Largest accepted timestamp, 127 days before the format ends: a peer must not exhaust ours."""
+"""Largest accepted timestamp, 127 days below the maximum: a peer must not exhaust ours."""
 MAX_STREAMS = 16
 """Limit of streams: forgetting one would allow replays of its old frames."""
 UNSIGNED_ALLOWED = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})

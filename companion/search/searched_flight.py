@@ -124,7 +124,7 @@ COMPASS = ("E", "NE", "N", "NW", "W", "SW", "S", "SE")
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Connected cells that were hardly searched."""
+    """Connected cells with a low POD."""
 
     name: str
     """Name for the radio, such as "NE corner"."""

@@ -1,10 +1,11 @@
 """Direction finders: KrakenSDR by its two documents and its web socket, u-blox AoA lines.
 
-A KrakenSDR says the direction twice: clockwise in its table, counter-clockwise (theta) in its XML.
-It distinguishes transmitters by frequency alone. Nothing is added of the vehicle's heading.
+A KrakenSDR reports the direction twice: clockwise in its table, counter-clockwise (theta) in its
+XML. It distinguishes transmitters by frequency alone. The vehicle's heading is not included.
 
 Its suite of 2026 has a web socket (frames of RFC 6455): a channel for each emitter, by its offset
-from the centre of the band. What it has found it repeats, spectrum and all, while nothing is heard.
+from the centre of the band. It repeats its last result, including the spectrum, while nothing is
+received.
 
 Sources: krakenrf, krakensdr_doa `kraken_sdr_signal_processor.py`; u-blox, XPLR-AOA user guide
 UBX-21004616; krakenrf/krakensdr_suite, `kraken_doa_v2/NATIVE_APP_API.md`,
@@ -93,7 +94,7 @@ class KrakenDirection:
 
 
 class Kraken(Emulator):
-    """A circular array of five whips; its table stays as it was while nothing is heard."""
+    """Circular array of five whips; its table is unchanged while nothing is received."""
 
     name = "kraken"
     title = "KrakenSDR, DOA_value.html"
@@ -262,7 +263,7 @@ def spectrum_of(theta_deg: float, confidence: float, rng: np.random.Generator) -
 
 
 class KrakenSocket(Kraken):
-    """Frames of directions, the band with each, and how the antennas stand."""
+    """Frames of directions, each with the band, and the antenna geometry."""
 
     name = "kraken_ws"
     title = "KrakenSDR suite of 2026, web socket"

@@ -39,7 +39,7 @@ def kind_of(name: str) -> type[Emulator]:
 
 
 def check_emitters(kind: type[Emulator], emitter_ids: Sequence[int]) -> None:
-    """Refuse, by a `ConfigError`, emitters that a format cannot name or has no room for."""
+    """Raise `ConfigError` for emitters that a format cannot name or has no room for."""
     for emitter_id in emitter_ids:
         if emitter_id not in kind.ids:
             last = kind.ids[-1]
@@ -50,7 +50,7 @@ def check_emitters(kind: type[Emulator], emitter_ids: Sequence[int]) -> None:
 
 
 def make_emulator(name: str, seed: int, clock_s: float | None = None) -> Emulator:
-    """Return a radio that is switched on; its clock is drawn below one hour if not given."""
+    """Return an emulator; its clock is drawn below one hour if not given."""
     rng = np.random.default_rng((seed, OWN_STREAM))
     drawn_s = float(rng.uniform(10.0, 3600.0))
     return kind_of(name)(drawn_s if clock_s is None else clock_s, rng)

@@ -1,10 +1,11 @@
 """Base of all emulators: rounds of measurements in, bytes of a radio's own format out.
 
-Theory of operation. A simulated radio asks its emitters in rounds. An emulator is what a radio of
-one make would print of a round: in its own units and steps, with its own signs, by its own clock,
-and what it says where nothing was measured. Angles come as the antenna printed them, clockwise from
-its boresight and upwards; which antenna that is, the scenario decides. Nothing here knows a
-decoder: both are written from the same descriptions of the formats, and meet in tests only.
+Theory of operation. A simulated radio asks its emitters in rounds. An emulator encodes a round as a
+radio of one make prints it: in its own units and steps, with its own signs and clock, and with its
+own output for missing measurements. Angles come as the antenna printed them, clockwise from its
+boresight and upwards; which antenna that is, the scenario decides. It shares nothing with the
+decoders: both are written from the same descriptions of the formats, and are compared in tests
+only.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ class Round:
 
 
 class Emulator(ABC):
-    """One radio that is switched on.
+    """One radio in operation.
 
     `clock_s` is its clock at the vehicle's second 0; `rng` is for invented values only.
     """

@@ -79,8 +79,7 @@ def fly_both(number: int, seed: int) -> PowerPair:
 def table_of_power(pairs: Sequence[PowerPair]) -> tuple[str, bool]:
     """Return the comparison as text, and True if flights with power are not the worse ones.
 
-    They are if more of them err by more, or state a radius that does not hold, than chance
-    explains.
+    They are worse if more of them have a larger error or a wrong radius than chance explains.
     """
     lines = [f"{len(pairs)} pairs                without    with power  better  worse"]
     both = [(pair.without, pair.with_power) for pair in pairs]

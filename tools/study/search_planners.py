@@ -36,16 +36,16 @@ FENCE = box(0.0, 0.0, SIDE_M, SIDE_M)
 MARGIN_M = 3.0
 HEIGHT_M, SPEED_MPS, STEP_S = 25.0, 5.0, 1.0
 PLANS_A_STEP = 5
-"""Requests in a second, as in flight."""
+"""Requests per second, as in flight."""
 MAP_EVERY_S = 2.0
-"""Age of the map at which it is made again, as in flight."""
+"""Age of the map at which it is renewed, as in flight."""
 SWEEPS = 1.0
 """Length of a flight, in sweeps of the lawnmower."""
 EMITTERS = 40
 
 
 class Planned:
-    """A planner of the product, asked as often as in flight."""
+    """The companion's planner, called as often as in flight."""
 
     def __init__(self, planner: Planner[Any], *, uses_map: bool) -> None:
         self._planner = planner

@@ -1,12 +1,11 @@
 """Flights that check stated probabilities of detection in worlds unknown to the estimator.
 
-The world is written apart from `companion.search`. An answer is received while
-10 n log10(reach / d) plus the reach's error, shadowing, fading and walls is positive. Shadowing is
-a Gaussian field over the vehicle's positions with exponential correlation (M. Gudmundson,
-Electronics Letters 27, 1991) on top of a part that stays with the emitter; fading is Rice's. What
-the estimator assumes is off as it is in the field: the reach by up to 6 dB, and exponent,
-shadowing, its correlation length and the direct path's share by what is known of a site
-beforehand.
+The world is written apart from `companion.search`. An answer is received while 10 n log10(reach /
+d) plus the reach's error, shadowing, fading and walls is positive. Shadowing is a Gaussian field
+over the vehicle's positions with exponential correlation (M. Gudmundson, Electronics Letters 27,
+1991) on top of a part that stays with the emitter; fading is Rice's. What the estimator assumes is
+off as it is in the field: the reach by up to 6 dB, and exponent, shadowing, its correlation length
+and the direct path's share by the usual uncertainty about a site.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ FAR_M = 10.0
 HOLD_S = 1.0
 """Duration of the hold before we yield."""
 GOES_ON_S = 0.4
-"""Time within the hold after which a source that is still active makes us yield."""
+"""Time within the hold after which a source that is still active causes a yield."""
 
 
 class EchoWatch(Watch):

@@ -117,7 +117,7 @@ class PositionNoise:
 
 
 def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> float | None:
-    """Return the jump of a heading (time, value), clockwise; None: a turn that vehicles make."""
+    """Return the jump of a heading (time, value), clockwise, rad; None: a possible turn."""
     dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None

@@ -1,6 +1,6 @@
 """Claims of the evaluation, and their verdicts measured in this run.
 
-A claim whose cells were not flown is left out; one that could be measured only in part says so.
+A claim whose cells were not flown is left out; one that was measured only in part is marked.
 """
 
 from __future__ import annotations
