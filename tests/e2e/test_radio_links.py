@@ -228,7 +228,7 @@ def test_a_page_is_polled_over_one_connection_and_an_error_is_said_once(
     drive(listener, at(f"http://127.0.0.1:{port}", KIND), scene)
     assert set(kind.paths) == {"/metres"}
     assert len([text for text in said if "lost (HTTP 500" in text]) == 1
-    assert len([text for text in said if "there again" in text]) == 1
+    assert len([text for text in said if "available again" in text]) == 1
 
 
 def test_a_server_that_closes_idle_connections_is_no_loss(
