@@ -127,7 +127,7 @@ GONE: Mapping[str, Gone] = {
     "link.lossy_rate_hz": Gone("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
     "link.lossy_share": Gone(default=0.2),
 }
-"""Keys of schema 1 that are gone, as dotted paths; a value but the former default is refused."""
+"""Keys of schema 1 absent from schema 2, by path; only the former default is accepted."""
 
 
 def renew(raw: dict[str, Any], name: str) -> list[str]:
