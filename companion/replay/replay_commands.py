@@ -99,6 +99,8 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
         if sys.stderr.isatty():
             print(f"\r{rows} rows", end="", file=sys.stderr, flush=True)
 
+    if arguments.json is not None and arguments.json.resolve() == arguments.file.resolve():
+        raise ConfigError(f"--json: {arguments.json} is the walk; choose another file")
     beside = arguments.file.with_suffix(".json")
     is_beside = arguments.json is not None and arguments.json.resolve() == beside.resolve()
     if is_beside and stated_accuracy(arguments.file) != WalkAccuracy():

@@ -344,6 +344,10 @@ def test_results_never_replace_what_describes_the_walk(
     beside.write_text('{"own_sigma_m": 0.1}')
     assert main(["replay", str(path), "--json", str(beside)]) == EXIT_BAD_INPUT
     assert "describes the walk" in capsys.readouterr().err
+    walk = path.read_bytes()
+    assert main(["replay", str(path), "--json", str(path)]) == EXIT_BAD_INPUT
+    assert "is the walk; choose another file" in capsys.readouterr().err
+    assert path.read_bytes() == walk
     assert beside.read_text() == '{"own_sigma_m": 0.1}'
     assert main(["replay", "w.tlog", "--own-sigma", "1"]) == EXIT_BAD_INPUT
     assert "--own-sigma" in capsys.readouterr().err
