@@ -310,8 +310,8 @@ def open_flight(path: Path) -> RecordedFlight:
         data = read_bytes(facts_path)
     except OSError as error:
         raise ConfigError(
-            f"{facts_path}: cannot be read ({error.strerror}); give a flight's folder, as in "
-            "flights/2026-11-21T02-50-00Z"
+            f"{path}: belongs to no flight, {facts_path} cannot be read ({error.strerror}); give a "
+            "flight's folder, as in flights/2026-11-21T02-50-00Z, and a walk as .csv"
         ) from error
     try:
         return RecordedFlight(directory, facts_of_json(data))

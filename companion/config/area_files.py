@@ -35,7 +35,9 @@ def areas_of_plan(text: str) -> list[NamedArea]:
     try:
         plan = json.loads(text, object_pairs_hook=_without_repeats)
     except json.JSONDecodeError as error:
-        raise ValueError(f"line {error.lineno}, column {error.colno}: {error.msg}") from None
+        raise ValueError(
+            f"line {error.lineno}, column {error.colno}: not JSON ({error.msg})"
+        ) from None
     except RecursionError:
         raise ValueError("nested too deeply") from None
     if not isinstance(plan, dict) or plan.get("fileType") != "Plan":

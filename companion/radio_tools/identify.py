@@ -242,19 +242,22 @@ def identify(
     url: str, seconds: float = LISTEN_S, hear: Listen = listen, clock: Clocked = time.monotonic
 ) -> tuple[int, str]:
     """Return the exit code and the report: the radio and its command, or the data received."""
-    heard, problem = 0, ""
+    heard, has_listened, problem = 0, False, None
     for attempt in timed(attempts(url), seconds, clock):
         listener = Listener()
         try:
             hear(attempt, listener)
         except CompanionError as error:
-            problem = str(error)
+            problem = error
             continue
+        has_listened = True
         heard += listener.bytes
         found = listener.found or listener.found_by_power
         if found is not None:
             return 0, _words(found, attempt, url)
     if not heard:
+        if problem is not None and not has_listened:
+            raise problem
         reason = problem or "check power, cable and port, and that an emitter is on"
         return 1, f"nothing heard at {url} in {seconds:g} s: {reason}"
     return 1, f"{heard} bytes at {url}, from no known radio; see docs/radios/any-radio.md"

@@ -93,12 +93,23 @@ BOW_TIE = (
 )
 
 
+def test_an_address_that_does_not_open_is_not_one_where_nothing_was_heard(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert "needs HOST:PORT" in complaint(capsys, "radio", "identify", "nosuch")
+    line = complaint(capsys, "radio", "identify", "serial:/dev/nosuch")
+    assert line.startswith("companion: serial /dev/nosuch: no such device")
+
+
 def test_a_fence_that_is_none_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "site.plan"
     line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
     assert line == f"companion: {path}: no such file"
+    path.write_text("")
+    line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
+    assert line.startswith(f"companion: {path}: line 1, column 1: not JSON (")
     path.write_text(BOW_TIE)
     line = complaint(capsys, "--connect", OPEN, "--fence", str(path), "--quiet")
     assert (
@@ -129,6 +140,11 @@ def test_a_report_of_no_flight_is_refused_in_words(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert "flight.json" in complaint(capsys, "report", str(tmp_path))
+    walk = tmp_path / "walk.txt"
+    walk.write_text("t_s,agent_x_m\n")
+    line = complaint(capsys, "replay", str(walk))
+    assert line.startswith(f"companion: {walk}: belongs to no flight")
+    assert line.endswith("and a walk as .csv")
 
 
 def test_options_of_the_map_need_the_map(capsys: pytest.CaptureFixture[str]) -> None:
