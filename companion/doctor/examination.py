@@ -310,6 +310,9 @@ def _check_other_systems(
 
 
 def _check_loss(link: LinkFacts, facts: AutopilotFacts) -> CheckResult:
+    if facts.is_unanswered:
+        fix = "check the wire to its receiving pin; if it wants signatures, give the key"
+        return fail("link", f"{link.name}: the autopilot answers no request", fix)
     loss = facts.loss or 0.0
     text = f"{link.name}: {100.0 * loss:.1f} % lost, {link.bad_frames} bad frames"
     if loss > MUCH_LOSS:

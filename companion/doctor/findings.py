@@ -10,6 +10,7 @@ from companion.domain import Autopilot, VehicleClass
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.readiness import FENCE_MESSAGE, REQUIREMENTS, Requirement
+from companion.link.autopilot_fence import NO_ANSWER
 from companion.link.quality import RadioStatus
 
 
@@ -60,6 +61,13 @@ class AutopilotFacts:
     """Share of its frames that were lost, 0 to 1."""
     fence: AutopilotFenceRead | None = None
     """The autopilot's own fence; None: not requested."""
+
+    @property
+    def is_unanswered(self) -> bool:
+        """True if all requests remained without an answer: the line may be open one way only."""
+        is_fence_read = self.fence is not None and self.fence.problem != NO_ANSWER
+        is_any_known = any(value is not None for value in self.parameters.values())
+        return self.round_trip_s is None and not is_any_known and not is_fence_read
 
     @property
     def missing(self) -> tuple[Requirement, ...]:

@@ -60,6 +60,7 @@ TRIES = 8
 """Tries of one request: at 30 % loss each way 99.5 % are answered by then."""
 REST_S, LAST_REST_S = 10.0, 60.0
 """First and longest pause after a failed download."""
+NO_ANSWER = "no answer"
 NEEDS_MAVLINK_2 = "its port speaks MAVLink 1, which has no fences: set it to MAVLink 2"
 READ_AGAIN_S = 10.0
 """Interval of repeated readings: at 5 m/s, the usual speed limit, a vehicle flies 50 m in it; a
@@ -207,7 +208,7 @@ class FenceDownload:
         reading = self._reading
         if reading is None or reading.tries < TRIES or now_s < reading.next_s:
             return None
-        why = "no answer" if reading.refusal is None else f"refused ({reading.refusal})"
+        why = NO_ANSWER if reading.refusal is None else f"refused ({reading.refusal})"
         self._end(now_s)
         self._rest_s = min(2.0 * self._rest_s, LAST_REST_S)
         return AutopilotFenceRead(now_s, problem=why) if reading.is_wanted else None

@@ -11,7 +11,9 @@ from companion.config.schema import CompanionConfig, LogConfig
 from companion.doctor.examination import examine, exit_code
 from companion.doctor.findings import CheckResult, Facts, FolderFacts, Level, StreamRate
 from companion.domain import Autopilot
+from companion.guidance.events import AutopilotFenceRead
 from companion.guidance.readiness import FENCE_MESSAGE, REQUIREMENTS
+from companion.link.autopilot_fence import NO_ANSWER
 from companion.link.interface import VehicleParams
 from tests.unit.companion.doctor.examples import FIT, HOST, LINK, PX4
 
@@ -79,7 +81,15 @@ def without(message: str) -> Facts:
     return autopilot_with(autopilot=Autopilot.ARDUPILOT, heard=heard)
 
 
+UNANSWERED = autopilot_with(
+    round_trip_s=None,
+    parameters=dict.fromkeys(PX4.parameters),
+    fence=AutopilotFenceRead(0.0, problem=NO_ANSWER),
+)
+"""ArduCopter that wants signatures, asked without a key: its streams came all the same."""
+
 LINK_CASES = [
+    ("link", UNANSWERED, Level.FAIL, "answers no request"),
     ("companion", link_with(other_companions=(1,)), Level.WARN, "another component 191"),
     ("vehicle.system_id", link_with(other_autopilots=(2, 3)), Level.FAIL, "system 2, 3"),
     ("link", autopilot_with(loss=0.1), Level.WARN, "10.0 % lost"),
