@@ -198,10 +198,15 @@ class Authority:
         self._must_leave_offboard = mode is FlightMode.OFFBOARD
         self.grant_reason, self._is_reselected = None, False
 
-    def forget_autopilot(self) -> None:
-        """Treat the next heartbeat as the first one, because the autopilot restarted."""
+    def forget_heartbeats(self) -> None:
+        """Treat the next heartbeat as the first one: those before may be another vehicle's."""
         self._has_heartbeat = False
-        self._newest = self._other_mode_since_s = self.grant_reason = None
+        self._newest = self._other_mode_since_s = None
+
+    def forget_autopilot(self) -> None:
+        """Drop what is known of the flight, because the autopilot restarted."""
+        self.forget_heartbeats()
+        self.grant_reason = None
 
     @property
     def needs_another_mode(self) -> bool:

@@ -187,6 +187,8 @@ class GuidanceSession:
                 self.context.warn("autopilot's clock slipped: resynchronising timestamps")
             case events.IdentityDoubted(problem=str(problem)):
                 self.handover.leave(problem, event.time_s)
+            case events.IdentityDoubted():
+                self.authority.forget_heartbeats()
             case events.Retuned():
                 self.context.retune(event.tuning)
             case events.ProcessMessage():

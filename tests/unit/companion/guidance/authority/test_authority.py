@@ -14,6 +14,7 @@ from companion.guidance.events import (
     AutopilotRestarted,
     BatteryReported,
     IdConflictHeard,
+    IdentityDoubted,
     OperatorCommand,
     OperatorCommandReceived,
     Outcome,
@@ -21,7 +22,7 @@ from companion.guidance.events import (
     RequestKind,
 )
 from companion.guidance.handover import GRANT_HOW
-from companion.guidance.phases import Phase
+from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.vehicle import vehicle_refusal
 from tests.unit.companion.guidance.authority.authority_helpers import (
     AUTOPILOTS,
@@ -343,6 +344,26 @@ def test_numbers_begin_again_with_the_autopilot() -> None:
     flight.give(AutopilotRestarted(flight.now_s))
     numbered(flight, FlightMode.HOLD, 7)
     assert flight.session.vehicle.mode is FlightMode.HOLD
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_neighbour_with_our_ids_that_stands_disarmed_gives_nothing_back(
+    autopilot: Autopilot,
+) -> None:
+    """A second ArduCopter behind our address: ours, still in GUIDED, was in control again."""
+    flight = flying(autopilot)
+    flight.show(FlightMode.POSITION, is_armed=False)  # the neighbour's
+    flight.give(IdentityDoubted(flight.now_s, "two vehicles send as 1/1"))
+    flight.fly(0.5)
+    flight.give(IdentityDoubted(flight.now_s, None))
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(5.0)
+    assert flight.session.phase not in IN_CONTROL
+    flight.show(FlightMode.POSITION)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(1.0)
+    assert flight.session.phase in IN_CONTROL
 
 
 def test_after_offboard_was_confirmed_to_the_launch_another_mode_is_a_choice() -> None:
