@@ -419,7 +419,7 @@ class AutopilotQueries:
         if not self._text_limit.acquire(now_s):
             return []
         self._stale = stale
-        text = f"no {' and '.join(stopped)} received received any more: requesting again"
+        text = f"no {' and '.join(stopped)} received any more: requesting again"
         return [Announce(Severity.WARNING, text)]
 
     def restart(self) -> None:

@@ -92,7 +92,7 @@ def test_a_stream_that_stops_while_the_link_is_alive_is_reported_once_and_asked_
     wire.journal.texts.clear()
     speak(wire, 40.0, muted)
     said = [text for text in wire.journal.texts if "any more: requesting again" in text]
-    assert said == [f"no {muted} received received any more: requesting again"]
+    assert said == [f"no {muted} received any more: requesting again"]
 
 
 def test_a_lost_link_is_not_announced_stream_by_stream() -> None:
