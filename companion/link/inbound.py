@@ -101,6 +101,8 @@ class OfferedModes:
 
 
 PREARM_BIT = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+FENCE_BIT = mavlink.MAV_SYS_STATUS_GEOFENCE
+"""Enabled and not healthy: a breach, a failsafe that ArduPilot's HEARTBEAT does not show."""
 FAILSAFE_STATES = (
     mavlink.MAV_STATE_CRITICAL,
     mavlink.MAV_STATE_EMERGENCY,
@@ -169,6 +171,7 @@ class VehicleInbound:
         self._geodesy: GeodesyFit | None = None
         self._home: mavlink.MAVLink_home_position_message | None = None
         self._is_prearm_good = True
+        self._is_fence_breached = False
         self._newest: dict[int, int] = {}
         """Sending order of the newest message of each kind."""
         self._frame: LocalOrigin | None = None
@@ -201,6 +204,8 @@ class VehicleInbound:
                 present = message.onboard_control_sensors_present & PREARM_BIT
                 health = message.onboard_control_sensors_health & PREARM_BIT
                 self._is_prearm_good = not present or bool(health)
+                enabled = message.onboard_control_sensors_enabled & FENCE_BIT
+                self._is_fence_breached = bool(enabled & ~message.onboard_control_sensors_health)
             case mavlink.MAVLink_global_position_int_message():
                 return self._compare_positions(message, now_s)
             case mavlink.MAVLink_gps_global_origin_message():
@@ -293,7 +298,7 @@ class VehicleInbound:
             mode=mode,
             is_armed=is_armed,
             is_ready=is_armed or (is_up and self._is_prearm_good),
-            is_failsafe=status in FAILSAFE_STATES,
+            is_failsafe=status in FAILSAFE_STATES or self._is_fence_breached,
             is_terminated=status in ENDED_STATES,
             other_mode=other_mode_name(message, autopilot) if is_other else "",
             order=order,

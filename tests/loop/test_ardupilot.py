@@ -83,6 +83,24 @@ def test_a_launch_survives_a_take_off_whose_answer_was_lost() -> None:
     assert max(take_offs(seed) for seed in range(6)) > 1
 
 
+@pytest.mark.parametrize("action", [1, 4])
+def test_a_fence_action_of_the_autopilot_takes_a_grant(action: int) -> None:
+    """FENCE_ACTION 1 returns and 4 brakes; neither is CRITICAL in HEARTBEAT."""
+    loop = flying()
+    fence = {"FENCE_TYPE": 1, "FENCE_ALT_MAX": 10.0, "FENCE_ACTION": action, "FENCE_ENABLE": 1}
+    for name, value in fence.items():
+        loop.sim.vehicle.flavour.parameters.set(name, float(value))
+    loop.run_until(lambda: loop.mode is not FlightMode.OFFBOARD, 1.0)
+    lost_s = loop.now_s
+    loop.run(15.0)
+    assert loop.said("grant needed, failsafe")
+    assert loop.phase is Phase.YIELD
+    assert loop.setpoints_since(lost_s + 1.1) == []  # a HEARTBEAT later
+    loop.choose(FlightMode.OFFBOARD)
+    loop.run(3.0)
+    assert loop.phase is Phase.YIELD
+
+
 @pytest.mark.slow
 def test_texts_speak_of_guided_and_never_of_offboard() -> None:
     loop = copter()

@@ -245,6 +245,23 @@ def test_sys_status_tells_of_a_breach_only_where_there_is_one(is_on: int, is_out
     assert bool(status.onboard_control_sensors_health & bit) != is_out
 
 
+@pytest.mark.parametrize(("action", "number"), [(0, GUIDED), (1, RTL), (2, LAND)])
+def test_a_fence_action_is_not_critical_and_only_one_that_reacts_is_enabled(
+    action: int, number: int
+) -> None:
+    fence = {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 2.0, "FENCE_RADIUS": 30.0}
+    station = flying(fence | {"FENCE_ACTION": action})
+    assert station.status == mavlink.MAV_STATE_ACTIVE
+    station.sim.vehicle.body.position_enu_m = (60.0, 10.0, 10.0)
+    station.run(1.2)
+    assert number_of(station) == number
+    assert station.status == mavlink.MAV_STATE_ACTIVE
+    assert station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 1.0) == ACCEPTED
+    status, bit = station.last(mavlink.MAVLink_sys_status_message), mavlink.MAV_SYS_STATUS_GEOFENCE
+    assert not status.onboard_control_sensors_health & bit
+    assert bool(status.onboard_control_sensors_enabled & bit) == (action != 0)
+
+
 @pytest.mark.parametrize("rate", [20.0, -40.0])
 def test_circle_goes_round_what_the_nose_pointed_at(rate: float) -> None:
     station = flying({"CIRCLE_RADIUS": 800.0, "CIRCLE_RATE": rate})

@@ -15,6 +15,7 @@ from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.aircraft import Aircraft
 from sim_link.autopilot.ardupilot.control import (
+    FENCE,
     CopterFailsafes,
     FailsafeEvent,
     Guided,
@@ -166,11 +167,15 @@ class ArduPilotFlavour(AutopilotFlavour):
         return margin
 
     def fence_state(self, position: PositionEnu) -> FenceState:
-        """Return the fence's state: FENCE_TYPE has its parts, FENCE_ENABLE activates them."""
+        """Return the fence's state: FENCE_TYPE has its parts, FENCE_ENABLE activates them.
+
+        One that only reports is not enabled in SYS_STATUS. Source: ArduPilot `AC_Fence`.
+        """
         parts = int(self.parameters["FENCE_TYPE"])
         has_areas = bool(parts & POLYGON) and not self.aircraft.fence.is_empty
         is_present = has_areas or bool(parts & ~POLYGON)
-        is_enabled = is_present and bool(self.parameters["FENCE_ENABLE"])
+        value = self.parameters
+        is_enabled = is_present and bool(value["FENCE_ENABLE"]) and bool(value["FENCE_ACTION"])
         return FenceState(is_present, is_enabled, self.fence_margin_m(position) < 0.0)
 
     def choose(self, mode: CopterMode, now_s: float) -> int:
@@ -360,7 +365,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed else 0
         )
         status = mavlink.MAV_STATE_STANDBY
-        if self.is_failsafe:
+        if self.is_armed and self._failsafes.active - {FENCE}:  # a breach is in SYS_STATUS only
             status = mavlink.MAV_STATE_CRITICAL
         elif self.is_armed and not self.aircraft.body.is_on_ground:
             status = mavlink.MAV_STATE_ACTIVE

@@ -34,6 +34,7 @@ from tests.unit.companion.link.wire import (
 
 NAN = math.nan
 INT32_MAX = 2**31 - 1
+FENCE_BIT = mavlink.MAV_SYS_STATUS_GEOFENCE
 
 
 def attitude(boot_ms: int) -> Message:
@@ -110,6 +111,22 @@ def test_a_failed_prearm_check_is_not_ready() -> None:
         event = only(inbound.events(heartbeat(), 1.0))
         assert isinstance(event, HeartbeatReceived)
         assert event.is_ready == is_ready
+
+
+@pytest.mark.parametrize(("enabled", "health", "is_failsafe"), [
+    (0, 0, False), (0, FENCE_BIT, False), (FENCE_BIT, FENCE_BIT, False), (FENCE_BIT, 0, True),
+])  # fmt: skip
+def test_a_breached_fence_is_a_failsafe_until_it_is_healthy(
+    enabled: int, health: int, is_failsafe: bool
+) -> None:
+    """ArduPilot's HEARTBEAT stays ACTIVE when its fence changes the mode."""
+    inbound = VehicleInbound()
+    for now_s, healthy in ((1.0, health), (3.0, FENCE_BIT)):
+        fence = (FENCE_BIT, enabled, healthy)
+        inbound.events(mavlink.MAVLink_sys_status_message(*fence, *[0] * 10), now_s)
+        event = only(inbound.events(heartbeat(ARDUPILOT, 6, is_armed=True), now_s + 0.5))
+        assert isinstance(event, HeartbeatReceived)
+        assert event.is_failsafe == (is_failsafe and now_s < 3.0)
 
 
 def test_home_is_placed_by_the_origin_whichever_comes_first() -> None:
