@@ -10,13 +10,14 @@ from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, T
 from companion.guidance.context import SessionContext
 from companion.guidance.control_authority import FOLLOW_UP_S, Finding, Reason, Verdict
 from companion.guidance.handover import Handover
+from companion.guidance.health.autopilot_health import PATIENCE_S
 from companion.guidance.health.watches import Watches
 from companion.guidance.launch import LaunchView
 from companion.guidance.measurements import EmitterScheduler
 from companion.guidance.messages import FenceMessages, GuardMessages
 from companion.guidance.phases import FLYING, IN_CONTROL, STREAMING, Phase, Trigger
 from companion.guidance.readiness import LaunchPermit, WaitingReason, missing_inputs
-from companion.guidance.reporting import Reporting
+from companion.guidance.reporting import REACHED_M, Reporting
 
 TICK_S = 0.05
 """Setpoint rate of 20 Hz: PX4 needs 2 Hz, and a lossy link still delivers enough of 20."""
@@ -30,6 +31,38 @@ TRACK_STEP_M = 0.5
 SILENCE_S = 0.3
 """Longest pause of the setpoints after which they continue; after a longer one the first setpoint
 is the vehicle's position, because it may have moved."""
+
+
+class StandstillWatch:
+    """Warns once if the vehicle stands away from its setpoint, and again after it has moved.
+
+    An ArduPilot that is paused in GUIDED stands still and echoes every setpoint.
+    """
+
+    def __init__(self, context: SessionContext) -> None:
+        self._context = context
+        self._stood_enu_m: PositionEnu | None = None
+        """Position from which the vehicle has not moved; None: out of control."""
+        self._away_since_s = 0.0
+        """Time since which the setpoint that is followed is elsewhere."""
+        self._is_announced = False
+
+    def step(self, now_s: float) -> None:
+        """Advance by a second."""
+        context, vehicle = self._context, self._context.vehicle
+        phase, stood = context.authority.phase, self._stood_enu_m
+        position = vehicle.position_enu_m
+        setpoint = context.steering.setpoint_enu_m if phase in FLYING else None
+        if phase not in IN_CONTROL or position is None:
+            self._stood_enu_m = None
+            return
+        if stood is None or math.dist(position, stood) > REACHED_M:
+            self._stood_enu_m, self._away_since_s, self._is_announced = position, now_s, False
+        if setpoint is None or math.dist(position, setpoint) <= REACHED_M:
+            self._away_since_s = now_s
+        if not self._is_announced and now_s - self._away_since_s > PATIENCE_S:
+            self._is_announced = True
+            context.warn("vehicle does not follow: paused? reselect the mode")
 
 
 class ControlTick:
@@ -48,6 +81,7 @@ class ControlTick:
         self.reporting = Reporting(context, watches.battery, scheduler)
         self._permit = LaunchPermit(context)
         self._waiting = WaitingReason(context.vehicle, context.authority, context.fencing)
+        self._standstill = StandstillWatch(context)
         self._guard_messages = GuardMessages()
         self._fence_messages = FenceMessages()
         self._logged_enu_m: PositionEnu | None = None
@@ -84,6 +118,7 @@ class ControlTick:
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = now_s + HEARTBEAT_PERIOD_S
             context.send(SendHeartbeat())
+            self._standstill.step(now_s)
         is_known = self._is_silent or context.vehicle.is_position_fresh(now_s)
         if is_known and now_s - self._sent_s > SILENCE_S:  # the last setpoint is safer
             context.steering.forget_setpoint()  # while the position is stale

@@ -20,6 +20,7 @@ COPTER = Scenario(autopilot=AutopilotParams(flavour="ardupilot"))
 OPERATOR = CompanionConfig()
 SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+PAUSE = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 
 
@@ -99,6 +100,23 @@ def test_a_fence_action_of_the_autopilot_takes_a_grant(action: int) -> None:
     loop.choose(FlightMode.OFFBOARD)
     loop.run(3.0)
     assert loop.phase is Phase.YIELD
+
+
+def test_a_pause_is_announced_once_and_again_after_it_has_moved() -> None:
+    loop, text = flying(), "vehicle does not follow: paused? reselect the mode"
+
+    def count() -> int:
+        return sum(said == text for _, said in loop.notes.texts)
+
+    loop.command(PAUSE, 0.0)
+    loop.run(45.0)
+    assert (count(), loop.mode) == (1, FlightMode.OFFBOARD)
+    loop.command(PAUSE, 1.0)
+    loop.run(8.0)
+    assert count() == 1
+    loop.command(PAUSE, 0.0)
+    loop.run(15.0)
+    assert count() == 2
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from sim_link.autopilot.scenario import AutopilotParams, FenceParams, Scenario
 from tests.protocol.sim_helpers import (
     ACCEPTED,
     ARM,
+    DENIED,
     FAILED,
     SET_MODE,
     TAKEOFF,
@@ -260,6 +261,29 @@ def test_a_fence_action_is_not_critical_and_only_one_that_reacts_is_enabled(
     status, bit = station.last(mavlink.MAVLink_sys_status_message), mavlink.MAV_SYS_STATUS_GEOFENCE
     assert not status.onboard_control_sensors_health & bit
     assert bool(status.onboard_control_sensors_enabled & bit) == (action != 0)
+
+
+def test_a_pause_stands_in_guided_with_its_target_until_it_continues_or_the_mode_changes() -> None:
+    station, pause = flying(), mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+    assert station.command(SET_INTERVAL, 85.0, 1e5) == ACCEPTED
+    assert station.command(pause, 0.0) == ACCEPTED
+    station.run(2.0)
+    north_m = station.position[0]
+    station.send(local_setpoint(20.0, 0.0, -10.0))
+    station.run(5.0)
+    assert station.position[0] == pytest.approx(north_m, abs=0.5)
+    echo = station.last(mavlink.MAVLink_position_target_local_ned_message)
+    assert number_of(station) == GUIDED
+    assert echo.x == pytest.approx(20.0)
+    assert station.command(pause, 2.0) == DENIED
+    assert station.command(pause, 1.0) == ACCEPTED
+    station.run(10.0)
+    assert station.position[0] == pytest.approx(20.0, abs=0.5)
+    station.command(pause, 0.0)
+    assert [choose(station, number) for number in (BRAKE, GUIDED)] == [ACCEPTED] * 2
+    station.send(local_setpoint(10.0, 0.0, -10.0))
+    station.run(10.0)
+    assert station.position[0] == pytest.approx(10.0, abs=0.5)
 
 
 @pytest.mark.parametrize("rate", [20.0, -40.0])

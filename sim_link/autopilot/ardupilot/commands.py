@@ -171,10 +171,18 @@ def _enable_fence(flavour: ArduPilotFlavour, command: Command, _now_s: float) ->
     return ACCEPTED
 
 
-def _pause(flavour: ArduPilotFlavour, _command: Command, _now_s: float) -> int:
-    """Refuse a pause outside of AUTO and GUIDED; inside, it has no effect here."""
-    is_flying = flavour.is_armed and not flavour.aircraft.body.is_on_ground
-    return ACCEPTED if is_flying else FAILED
+def _pause(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int:
+    """Pause or continue GUIDED, which keeps its target; AUTO goes on here.
+
+    Source: ArduCopter `ModeGuided::pause`.
+    """
+    wanted = command.whole(1)
+    if wanted not in (0, 1):
+        return DENIED
+    if not flavour.is_armed or flavour.aircraft.body.is_on_ground:
+        return FAILED
+    flavour.guided.is_paused = wanted == 0
+    return ACCEPTED
 
 
 def _report_prearm(flavour: ArduPilotFlavour, _command: Command, now_s: float) -> int:

@@ -200,11 +200,15 @@ class Guided:
     def __init__(self) -> None:
         self.state = GuidedState.IDLE
         self.setpoint = Setpoint()
+        self.is_paused = False
+        """True while it stays in place and keeps its target, by MAV_CMD_DO_PAUSE_CONTINUE."""
         self._taken_s = 0.0
 
     @property
     def task(self) -> Task:
         """Task that the state gives to the pilot."""
+        if self.is_paused:
+            return Task.STAY
         match self.state:
             case GuidedState.CLIMBING:
                 return Task.TAKE_OFF

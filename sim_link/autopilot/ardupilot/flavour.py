@@ -186,7 +186,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             return FAILED
         self.chosen_number = None
         if mode is not self.copter_mode:
-            self.guided.stop()
+            self.guided = Guided()
             self.changes += mode.mode is self.copter_mode.mode  # any other is noted by `settle`
             self.copter_mode = mode
             self.commanded_mps.clear()

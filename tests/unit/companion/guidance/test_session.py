@@ -10,9 +10,7 @@ import pytest
 from companion.config.schema import LimitsConfig
 from companion.domain import Autopilot, FlightMode, LandedState, VehicleState
 from companion.guidance.commands import SendHeartbeat, SendSetpoint, SessionParams
-from companion.guidance.events import (
-    VehicleMoved,
-)
+from companion.guidance.events import OperatorCommand, OperatorCommandReceived, VehicleMoved
 from companion.guidance.phases import Phase
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 from tests.unit.companion.guidance.session_helpers import FOREIGN_MODES, silent_since
@@ -276,3 +274,40 @@ def test_a_target_beyond_the_fence_is_announced_once() -> None:
     flight.follows = True
     flight.fly(20.0)
     assert len([text for text in flight.texts if "outside the fence" in text]) == 1
+
+
+# A vehicle that stands still
+
+
+def standstills(flight: ScriptedFlight) -> int:
+    return flight.texts.count("vehicle does not follow: paused? reselect the mode")
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_vehicle_that_does_not_follow_is_announced_once(follows: bool) -> None:
+    flight = ScriptedFlight()
+    flight.follows = follows
+    flight.in_control()
+    flight.fly(4.0)
+    assert standstills(flight) == 0
+    flight.fly(26.0)
+    assert standstills(flight) == (0 if follows else 1)
+
+
+def test_a_vehicle_that_has_moved_may_stand_still_again() -> None:
+    flight = ScriptedFlight().in_control()
+    flight.fly(12.0)
+    flight.position_enu_m = flight.setpoints[-1]
+    flight.fly(5.0)
+    assert standstills(flight) == 1
+    flight.fly(10.0)
+    assert standstills(flight) == 2
+
+
+def test_a_vehicle_that_holds_is_not_said_to_stand_still() -> None:
+    flight = ScriptedFlight().in_control()
+    flight.fly(3.0)
+    flight.give(OperatorCommandReceived(flight.now_s, OperatorCommand.HOLD))
+    flight.fly(30.0)
+    assert flight.is_in(Phase.HOLD)
+    assert standstills(flight) == 0
