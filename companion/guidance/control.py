@@ -60,7 +60,8 @@ class StandstillWatch:
             self._stood_enu_m, self._away_since_s, self._is_announced = position, now_s, False
         if setpoint is None or math.dist(position, setpoint) <= REACHED_M:
             self._away_since_s = now_s
-        if not self._is_announced and now_s - self._away_since_s > PATIENCE_S:
+        slowest_s = PATIENCE_S + REACHED_M / context.guard.limits.envelope.speed_mps
+        if not self._is_announced and now_s - self._away_since_s > slowest_s:
             self._is_announced = True
             context.warn("vehicle does not follow: paused? reselect the mode")
 
