@@ -133,7 +133,9 @@ class MavlinkRanging:
         stamp_s, measured_at_s = message.time_usec / 1e6, now_s
         if stamp_s:  # a sender without a clock has no stamp to use or compare
             known_s = self._vehicle_clock.offset_at_s(now_s)
-            if known_s is not None and sender in self._on_vehicle_clock:
+            own_s = clock.timebase.offset_at_s(now_s)
+            is_behind = own_s is not None and known_s is not None and own_s < known_s
+            if is_behind and known_s is not None and sender in self._on_vehicle_clock:
                 clock.timebase.raise_to(known_s, now_s)  # it lost time, in steps too small to show
             measured_at_s = clock.read(stamp_s, now_s).time_s
             own_offset_s = clock.timebase.offset_at_s(measured_at_s)
