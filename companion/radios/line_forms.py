@@ -34,8 +34,9 @@ class LineForm:
 
 
 def form(pattern: str, refused: str = "") -> LineForm:
-    """Return the form of a pattern."""
-    return LineForm(re.compile(pattern), refused)
+    """Return the form of a pattern, its literal first, which `re` searches for without a try."""
+    literal_first = re.sub(r"^\\b(\w+)(?![\w?*+{])", r"\1(?<=\\b\1)", pattern)
+    return LineForm(re.compile(literal_first), refused)
 
 
 class FormDecoder(FieldDecoder):
