@@ -308,11 +308,13 @@ def open_flight(path: Path) -> RecordedFlight:
     facts_path = directory / FLIGHT
     try:
         data = read_bytes(facts_path)
-    except OSError as error:
+    except FileNotFoundError as error:
         raise ConfigError(
-            f"{path}: belongs to no flight, {facts_path} cannot be read ({error.strerror}); give a "
-            "flight's folder, as in flights/2026-11-21T02-50-00Z, and a walk as .csv"
+            f"{path}: belongs to no flight, there is no {facts_path}; give a flight's folder, as "
+            "in flights/2026-11-21T02-50-00Z, and a walk as .csv"
         ) from error
+    except OSError as error:
+        raise ConfigError(f"{facts_path}: cannot be read ({error.strerror})") from error
     try:
         return RecordedFlight(directory, facts_of_json(data))
     except ConfigError as error:

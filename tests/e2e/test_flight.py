@@ -153,7 +153,7 @@ def test_taken_port_is_one_clear_line_and_leaves_nothing_behind(commands: Comman
         _, errors = commands.start("companion", "--connect", f"udp:127.0.0.1:{port}").communicate()
     assert commands.running[0].returncode == 2
     assert len(errors.strip().splitlines()[-1:]) == 1
-    assert f"{port} is taken" in errors
+    assert f"{port} is in use" in errors
     assert "Traceback" not in errors
     assert not list(commands.directory.glob("flights/*"))
 

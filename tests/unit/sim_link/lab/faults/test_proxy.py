@@ -105,7 +105,7 @@ def test_a_taken_port_is_an_error_of_the_link() -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
-        with pytest.raises(LinkError, match=f"{port} is taken"):
+        with pytest.raises(LinkError, match=f"{port} is in use"):
             run_subcommand(["proxy", "--listen", f"127.0.0.1:{port}"])
 
 
