@@ -14,6 +14,7 @@ import pytest
 from companion.cli import main
 from companion.config.schema import CompanionConfig
 from companion.errors import EXIT_BAD_INPUT, ConfigError
+from companion.estimation.screen import AcceptanceParams
 from companion.flight_setup import FlightFacts, build_endpoint, write_facts
 from companion.guidance.commands import SessionParams
 from companion.io.files import EVENTS, FLIGHT, INPUTS, TLOG
@@ -140,8 +141,9 @@ def test_a_lost_page_of_the_inputs_is_reported_and_the_rest_of_the_flight_goes_o
     (line,) = [each for each in said if "flight.inputs" in each]
     assert "damaged at record " in line
     assert "the rest is read" in line
-    last_s = float(str(replay.replayed.estimates[-1]["t_s"]))
-    assert last_s == float(str(replay.recorded.estimates[-1]["t_s"]))
+    ends_s = [float(str(log.estimates[-1]["t_s"])) for log in (replay.recorded, replay.replayed)]
+    # a solution that the end interrupts keeps measurements waiting, for less than makes them stale
+    assert abs(ends_s[0] - ends_s[1]) < AcceptanceParams().max_age_s
     assert replay.replayed.whole is not None
     assert 0 < replay.replayed.whole[0] < len(replay.replayed.estimates)
 
