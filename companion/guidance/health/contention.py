@@ -128,7 +128,8 @@ class EchoWatch(Watch):
         if now_s - self._sent_s > PAUSE_S:
             return
         on_path_s, off_m = self._last_on_path_s(event.position_enu_m)
-        self._is_far = on_path_s is None and off_m >= FAR_M
+        is_single = self._contended_since_s is None  # a second source has its own text
+        self._is_far = is_single and on_path_s is None and off_m >= FAR_M
         if on_path_s is None:
             share = min(1.0, max(0.0, (off_m - TOLERANCE_M) / (FAR_M - TOLERANCE_M)))
             self._foreign_s.append((now_s, now_s + NEAR_S + share * (FAR_S - NEAR_S)))

@@ -253,3 +253,16 @@ def test_a_second_source_that_began_during_a_pause_is_found() -> None:
     line.is_sending = True
     line.run(6.0)
     assert line.findings[-1][1].verdict is Verdict.YIELD
+
+
+def test_only_a_single_foreign_target_is_reported_as_replaced() -> None:
+    line = Line()
+    line.run(5.0)
+    line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
+    assert line.watch.take_far_echo()
+
+    line.intruder_hz = 20.0
+    line.run(3.0)
+    assert any(finding.reason is Reason.SECOND_SOURCE for _, finding in line.findings)
+    line.watch.handle(SetpointEchoed(line.now_s, FOREIGN))
+    assert not line.watch.take_far_echo()
