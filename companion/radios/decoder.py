@@ -211,14 +211,33 @@ class LineDecoder(RadioDecoder):
 
     A line ends with LF, CR or CRLF in any cut; one beyond `longest_line` is dropped whole and
     counted. Bytes that are not text are replaced, so that a line is always a `str`; a byte order
-    mark, and colours, cursor movements and titles of a terminal are removed.
+    mark, and colours, cursor movements and titles of a terminal are removed, as is the stamp that
+    a terminal or a logger prints before each line.
     """
 
     longest_line = 4096
+    has_stamps: bool = False
+    """True if stamps before the lines are part of the format, and are not removed."""
     _LINE_END = re.compile(rb"\r\n?|\n")
+    _STAMP = re.compile(
+        r"(?:\[(?:[0-9]{4}-[0-9]{2}-[0-9]{2}[ T])?[0-9]{2}:[0-9]{2}:[0-9]{2}"
+        r"(?:[.,][0-9]{1,9}){0,2}\]"
+        r"(?: <[a-z]{3}> [\w.-]{1,40}:)? ?"
+        r"|\[ {0,10}[0-9]{1,10}\.[0-9]{3,9}\] ?"
+        r"|[0-9]{2}-[0-9]{2} [0-9:]{8}\.[0-9]{3} +[0-9]+ +[0-9]+ [VDIWEF] [^ :]{1,40} {0,20}: "
+        r"|[0-9]{4}-[0-9]{2}-[0-9]{2}[ T][0-9]{2}:[0-9]{2}:[0-9]{2}(?:[.,][0-9]{1,9})?"
+        r"(?:Z|[+-][0-9]{2}:?[0-9]{2})?:? "
+        r"|[A-Z][a-z]{2} [ 0-9][0-9] [0-9]{2}:[0-9]{2}:[0-9]{2}(?:\.[0-9]{1,9})? "
+        r"(?:[\w.-]{1,64} [\w./-]{1,64}\[[0-9]{1,10}\]: )?"
+        r"|[0-9]{2}:[0-9]{2}:[0-9]{2}(?:[.:][0-9]{1,9})? (?:-?> )?"
+        r"|[0-9]{10}\.[0-9]{3,9}:? )?"
+        r"(?:[EWIDV] \([0-9:.]{1,12}\) [\w.-]{1,40}: )?(?![,;|])"
+    )
+    """Stamps of minicom, tio, `ts`, CoolTerm, the monitors of Arduino and PlatformIO, the kernel,
+    journals, logcat, Zephyr, and behind any of these that of ESP-IDF."""
     _ESCAPES = re.compile(
-        r"\A\ufeff|\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?|\x1b[()*+][0-9A-Za-z]"
-        r"|\x1b[=>78cDEHM]|[\x01\x02]"
+        r"\A[\ufeff\0]+|\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?"
+        r"|\x1b[()*+][0-9A-Za-z]|\x1b[=>78cDEHM]|[\x01\x02]"
     )
     """The mark, ANSI sequences (ECMA-48), and readline's marks about them."""
 
@@ -245,8 +264,9 @@ class LineDecoder(RadioDecoder):
                 self._drop(len(line))
                 self._is_overlong = False
                 continue
-            text = line.decode("utf-8", errors="replace")
-            readings += self.read_line(self._ESCAPES.sub("", text), received_s)
+            text = self._ESCAPES.sub("", line.decode("utf-8", errors="replace"))
+            stamp = None if self.has_stamps else self._STAMP.match(text)
+            readings += self.read_line(text[stamp.end() :] if stamp else text, received_s)
         if self._is_overlong or len(rest) > self.longest_line + 1:
             self._drop(len(rest))
             self._is_overlong = True

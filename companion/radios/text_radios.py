@@ -262,6 +262,7 @@ class LinesDecoder(FieldDecoder):
 
     Options = LinesOptions
     options: LinesOptions
+    has_stamps = True
     longest_line = 1024
     """Short, because an expression that backtracks is slow on long lines."""
 

@@ -69,6 +69,7 @@ class FtmCsvDecoder(FieldDecoder):
     def __init__(self, options: Params | None = None) -> None:
         super().__init__(options)
         self._names = list(self.options.columns)
+        self.has_stamps = self.options.delimiter == " "
         problem = complain_of(self._names) if self._names else None
         if problem is not None:
             raise ConfigError(f"ftm_csv: columns: {problem}")

@@ -36,6 +36,7 @@ class Esp32FtmDecoder(FieldDecoder):
 
     Options = Esp32FtmOptions
     options: Esp32FtmOptions
+    has_stamps = True
     _IDF = re.compile(
         r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: Estimated RTT - [0-9]{1,10} nSec, "
         r"Estimated Distance - ([0-9]{1,9}\.[0-9]{2}) meters"

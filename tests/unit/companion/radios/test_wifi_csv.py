@@ -245,3 +245,17 @@ def test_a_result_in_a_log_that_is_none_is_refused(changed: dict[str, object], r
 
     assert decoder.feed(f"{printed(**changed)}\n".encode(), 0.0) == []
     assert decoder.counts.refused == {reason: 1}
+
+
+@pytest.mark.parametrize(
+    ("row", "delimiter"),
+    [
+        ("10:11:12.345 , aa:bb:cc:dd:ee:ff, 5.25", ","),
+        ("2026-01-02 10:11:12.345 ; aa:bb:cc:dd:ee:ff; 5.25", ";"),
+        ("1767348672.123456 aa:bb:cc:dd:ee:ff 5.25", " "),
+    ],
+)
+def test_a_time_that_is_a_column_is_no_stamp(row: str, delimiter: str) -> None:
+    options = FtmCsvOptions(columns=("_", "emitter", "range_m"), delimiter=delimiter)
+    (reading,) = FtmCsvDecoder(options).feed(row.encode() + b"\n", 0.0)
+    assert (reading.emitter, reading.range_m) == ("aa:bb:cc:dd:ee:ff", 5.25)
