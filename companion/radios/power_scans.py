@@ -70,7 +70,10 @@ class PowerScanDecoder(FormDecoder):
         form(r"^\s*RSSI: (?:0x[0-9a-fA-F]{8} \()?(?P<power_dbm>-[0-9]{1,3})\)?\s*$"),
         form(rf"(?:Device found|\[DEVICE\]): {_EMITTER} {_TO}RSSI {_DBM}"),
         form(rf"PACKET TYPE=\w+, CHAN=[0-9]+, RSSI={_DBM},(?:(?!RSSI=).)*?\bADDR2={_EMITTER}"),
-        form(rf"{_DBM}dBm signal (?:(?!dBm signal).)*?\b(?:SA|TA):{_EMITTER}"),
+        form(
+            rf"{_DBM}dBm signal (?:[^:]{{0,40}}?dBm signal antenna [0-9]{{1,2}})*"
+            rf"(?:(?!dBm signal).)*?\b(?:SA|TA):{_EMITTER}"
+        ),
         form(r"dBm signal ", "frame without the sender's address: tcpdump -e prints it"),
         form(rf"\bAddress: {_EMITTER}{_TO}\b(?:rssi|RSSI): {_DBM}"),
         form(rf"^{_EMITTER}\t[0-9]{{4,5}}\t{_DBM}\t"),

@@ -44,6 +44,14 @@ def scanned(text: str, *, single: bool = False) -> tuple[list[tuple[object, obje
         (f"[DEVICE]: {MAC} (random), AD evt type 0, AD data len 29, RSSI -61\n", -61.0),
         (f"PACKET TYPE=MGMT, CHAN=06, RSSI=-61, ADDR1={TO_ALL}, ADDR2={MAC}\n", -61.0),
         (f"11b -61dBm signal -95dBm noise antenna 0 DA:{TO_ALL} SA:{MAC} Probe (x)\n", -61.0),
+        (
+            f"11n -61dBm signal -63dBm signal antenna 0 -88dBm signal antenna 1 SA:{MAC} Beacon\n",
+            -61.0,
+        ),
+        (
+            f"-61dBm signal -95dBm noise antenna 0 -74dBm signal antenna 1 TA:{MAC} Beacon\n",
+            -61.0,
+        ),
         (f"Advertised Device: Name: , Address: {MAC}, txPower: -59, rssi: -61 \n", -61.0),
         (f"{MAC}\t2437\t-61\t[WPA2-PSK-CCMP][ESS]\thome\n", -61.0),
         (f"RSSI: -61 Ch: 6 BSSID: {MAC} ESSID: Orange-Triangle-District\n", -61.0),
