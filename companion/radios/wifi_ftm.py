@@ -38,10 +38,14 @@ class Esp32FtmDecoder(FieldDecoder):
     options: Esp32FtmOptions
     has_stamps = True
     _IDF = re.compile(
-        r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: Estimated RTT - [0-9]{1,10} nSec, "
+        r"(?:I \(([0-9]{1,10})\) )?[\w.-]{1,40}: (?:[A-Za-z ]{1,40}\. )?"
+        r"Estimated RTT - [0-9]{1,10} nSec, "
         r"Estimated Distance - ([0-9]{1,9}\.[0-9]{2}) meters"
     )
-    _ARDUINO = re.compile(r"FTM Estimate: Distance: (-?[0-9]{1,9}\.[0-9]+) m, Return Time: ")
+    _ARDUINO = re.compile(
+        r"FTM Estimate: (?:Distance RAW: [0-9.]{1,12}, ?)?"
+        r"Distance: (-?[0-9]{1,9}\.[0-9]+) m, Return Time: "
+    )
     _SESSION = re.compile(rf"Starting FTM session with ({MAC.pattern})")
     _PEER = re.compile(rf"Peer\(({MAC.pattern})\) failed! \(Status - ([0-9])\)")
     _ENDS = re.compile(

@@ -205,3 +205,20 @@ def test_the_newest_firmware_s_refusal_is_no_reading() -> None:
     decoder = IwFtmDecoder()
 
     assert decoder.feed(b"command failed: Operation not supported (-95)\n", 0.0) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "range_m"),
+    [
+        (
+            "I (51234) rover: FTM session complete. Estimated RTT - 41 nSec,"
+            " Estimated Distance - 6.28 meters",
+            6.28,
+        ),
+        ("FTM Estimate: Distance RAW: 4512.0000,Distance: 5.1200 m, Return Time: 301 ns", 5.12),
+        ("FTM Estimate: Distance RAW: 4512, Distance: -1.3800 m, Return Time: 301 ns", -1.38),
+    ],
+)
+def test_words_of_a_sketch_before_the_distance_do_not_hide_it(line: str, range_m: float) -> None:
+    (reading,) = Esp32FtmDecoder().feed(f"{line}\n".encode(), 0.0)
+    assert reading.range_m == range_m
