@@ -139,11 +139,14 @@ class QorvoCliDecoder(FieldDecoder):
         """Return the measurement of a record; absent values are not measured, malformed refused."""
         there = {key: number(values[key]) for key in MEASURED_KEYS if key in values}
         distance_cm, azimuth_deg, elevation_deg = map(there.get, MEASURED_KEYS)
-        if None in there.values() or not there:
-            self.counts.refuse("torn measurement" if there else "nothing measured")
+        if None in there.values():
+            self.counts.refuse("torn measurement")
             return None
         if distance_cm is None and any(key.startswith("distance") for key in values):
             self.counts.refuse("distance is not in cm")
+            return None
+        if not there:
+            self.counts.refuse("nothing measured")
             return None
         if is_overflow(distance_cm or 0.0):
             self.counts.refuse("distance with all bits set: nothing measured")

@@ -77,9 +77,9 @@ class MakerfabsAtDecoder(SlotDecoder):
     """Decoder of `AT+RANGE=` reports of Makerfabs' AT firmware."""
 
     _REPORT = re.compile(
-        r"AT\+RANGE=tid:([0-9]{1,5}), *mask:([0-9A-Fa-f]{1,2}), *seq:([0-9]{1,3}), *(.*)"
+        r"AT\+RANGE=tid: *([0-9]{1,5}), *mask: *([0-9A-Fa-f]{1,2}), *seq: *([0-9]{1,3}), *(.*)"
     )
-    _LIST = re.compile(r"(range|rssi|ancid):\(([^()]*)\)")
+    _LIST = re.compile(r"(range|rssi|ancid): *\(([^()]*)\)")
 
     def hello(self) -> bytes:
         """Switch reports on, which are off after a reset."""
@@ -113,11 +113,14 @@ class MakerfabsAtDecoder(SlotDecoder):
 
 
 class TrekDecoder(SlotDecoder):
-    """Decoder of `mc` reports: four ranges in hexadecimal mm, and a mask; not of `mr` and `ma`."""
+    """Decoder of `mc` reports: four ranges in hexadecimal mm, and a mask; not of `mr` and `ma`.
+
+    Clones print seven or eight, and a time without leading zeros.
+    """
 
     _REPORT = re.compile(
-        r"mc ([0-9a-f]{2})((?: [0-9a-f]{8}){4})"
-        r" [0-9a-f]{4} [0-9a-f]{2} [0-9a-f]{8} [at]([0-9]):[0-9]",
+        r"mc ([0-9a-f]{2})((?: {1,2}[0-9a-f]{8}){4}(?:(?: {1,2}[0-9a-f]{8}){3,4})?)"
+        r" [0-9a-f]{4} [0-9a-f]{2} [0-9a-f]{1,8} [at]([0-9]):[0-9]",
         re.IGNORECASE,
     )
     _OTHERS = re.compile(r"m[ra] [0-9a-f]{2}(?: [0-9a-f]{8}){4} ", re.IGNORECASE)
@@ -131,7 +134,7 @@ class TrekDecoder(SlotDecoder):
         answered = [
             (slot, int(text, 16) / 1000.0, slot, None)
             for slot, text in enumerate(found[2].split())
-            if mask >> slot & 1
+            if mask >> slot & 1 and not is_overflow(int(text, 16))
         ]
         return self.read_slots(int(found[3]), answered, "no anchor answered")
 

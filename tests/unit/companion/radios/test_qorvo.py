@@ -145,3 +145,9 @@ def test_a_torn_frame_is_refused(stream: bytes) -> None:
     decoder = PdoaJsDecoder()
     assert decoder.feed(stream, 0.0) == []
     assert decoder.counts.refused == {"torn frame": 1}
+
+
+def test_a_distance_in_another_unit_is_refused_as_that() -> None:
+    decoder = QorvoCliDecoder()
+    assert decoder.feed(TWO.replace(b"distance[cm]=245", b"distance[m]=2.45"), 0.0) == []
+    assert decoder.counts.refused["distance is not in cm"] == 1

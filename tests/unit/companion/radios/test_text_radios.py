@@ -13,6 +13,7 @@ from companion.radios.text_radios import (
     SlotOptions,
     Sx1280Decoder,
     Sx1280Options,
+    TrekDecoder,
     UudfDecoder,
 )
 
@@ -277,3 +278,35 @@ def test_what_is_sent_once_the_line_is_open_is_configured() -> None:
 
     assert LinesDecoder(options).hello() == b"start\r\n"
     assert LinesDecoder(LinesOptions(pattern=CHANNEL_SOUNDING)).hello() == b""
+
+
+def test_blanks_behind_the_names_of_a_report_are_of_no_meaning() -> None:
+    (line,) = MAKERFABS[:1]
+    spaced = line.replace(":", ": ").replace(",", ", ")
+    assert read(MakerfabsAtDecoder(), spaced) == read(MakerfabsAtDecoder(), line) != []
+
+
+NONE = "ffffffff"
+
+
+@pytest.mark.parametrize(
+    ("line", "ranges_m"),
+    [
+        (f"mc 05 00000401 {NONE} 00000c02 {NONE} 0a1b 2c 00031f04 a0:0", {0: 1.025, 2: 3.074}),
+        ("mc 03 00000401 00000802 00000000 00000000 0a1b 2c 0 t1:0", {0: 1.025, 1: 2.05}),
+        (
+            f"mc 81 00000401 {NONE} {NONE} {NONE} {NONE} {NONE} {NONE} 00000c02"
+            " 0a1b 2c 00031f04 a0:0 22be",
+            {0: 1.025, 7: 3.074},
+        ),
+        (
+            f"mc 01 00000401 {NONE} {NONE} {NONE}  {NONE} {NONE} {NONE} 0a1b 2c 00031f04 a0:0 22be",
+            {0: 1.025},
+        ),
+        (f"mc 03 00000401 {NONE} 00000000 00000000 0a1b 2c 00031f04 a0:0", {0: 1.025}),
+    ],
+    ids=["four", "short time", "eight", "seven", "masked without a value"],
+)
+def test_a_trek_report_has_four_to_eight_slots(line: str, ranges_m: dict[int, float]) -> None:
+    readings = TrekDecoder().feed(f"{line}\r\n".encode(), 0.0)
+    assert {each.emitter: each.range_m for each in readings} == ranges_m
