@@ -106,7 +106,7 @@ class Sx1280(RangeLines):
     silence = ("NotValid,Irq,8000",)
 
     def lines_at(self, range_m: float, answer: Answer, clock_ms: int) -> list[str]:  # noqa: ARG002
-        """Return the register in use, not negative."""
+        """Return the valid result of a range, whose register is never negative."""
         raw = clamped(range_m / RAW_STEP_M, 0, (1 << 23) - 1)
         return [sx1280_valid(raw, round(answer.power_dbm))]
 
