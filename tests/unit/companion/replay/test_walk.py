@@ -122,7 +122,7 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
         "nothing measured": 2,
         "not finite": 1,
         "range not positive": 1,
-        "range absurd": 1,
+        "range impossible in m": 1,
     }
 
 
@@ -209,7 +209,7 @@ def test_reasons_of_refusals_stand_below_the_table(
     for index, value in ((5, -3.0), (6, -3.0), (7, 1e9)):
         rows[index] |= {"range_m": value, "bearing_rad": ""}
     assert main(["replay", str(write_walk(tmp_path / "walk.csv", rows))]) == 0
-    assert "refused: range not positive 2, range absurd 1\n" in capsys.readouterr().out
+    assert "refused: range not positive 2, range impossible in m 1\n" in capsys.readouterr().out
 
 
 def test_a_radius_above_the_limit_for_localised_is_explained(
