@@ -221,6 +221,7 @@ class ControlTick:
         vehicle, fencing = context.vehicle, context.fencing
         is_ready = vehicle.objection is None and fencing.refusal is None
         is_ready = is_ready and not missing_inputs(vehicle, fencing, now_s)
+        is_ready = is_ready and authority.knows_mode
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
             guided = f"ready: switch to {context.vehicle.guided_name} to hand over control"

@@ -218,6 +218,11 @@ class Authority:
         """True if no latch is set, so that the companion may enter standby."""
         return not self._must_leave_offboard and self.grant_reason is None
 
+    @property
+    def knows_mode(self) -> bool:
+        """True if a heartbeat has shown the mode since the last doubt or restart."""
+        return self._has_heartbeat
+
 
 FOLLOW_UP_S = 5.0
 """Longest time the autopilot may take to enter the mode that follows the report."""

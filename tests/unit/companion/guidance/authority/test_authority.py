@@ -366,6 +366,30 @@ def test_a_neighbour_with_our_ids_that_stands_disarmed_gives_nothing_back(
     assert flight.session.phase in IN_CONTROL
 
 
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_vehicle_in_our_mode_after_a_doubt_is_not_called_ready(autopilot: Autopilot) -> None:
+    """A neighbour was heard, and GUIDED chosen meanwhile: 'ready: switch to GUIDED', in GUIDED."""
+    flight = flying(autopilot)
+    flight.show(FlightMode.POSITION)
+    flight.fly(3.0)
+    assert flight.is_in(Phase.STANDBY)
+    flight.give(IdentityDoubted(flight.now_s, "systems 1 and 2 are autopilots on this link"))
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(0.5)
+    before = len(flight.texts)
+    flight.give(IdentityDoubted(flight.now_s, None))
+    flight.fly(3.0)
+    said = " ".join(flight.texts[before:])
+    assert "ready" not in said
+    assert "no control: found in " in said
+    assert "; switch to another mode" in said
+    flight.show(FlightMode.POSITION)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(1.0)
+    assert flight.session.phase in IN_CONTROL
+
+
 def test_after_offboard_was_confirmed_to_the_launch_another_mode_is_a_choice() -> None:
     flight = ScriptedFlight(SessionParams(engage="auto")).asking_for_offboard()
     accepted = RequestAnswered(flight.now_s, RequestKind.SET_MODE, Outcome.ACCEPTED, order=100)
