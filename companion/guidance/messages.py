@@ -329,6 +329,8 @@ HARMLESS = frozenset(
     }
 )
 """Reasons that are not the radio's fault; a jump of the vehicle has its own text."""
+OWN_STATE = frozenset({RejectReason.NO_POSITION, RejectReason.NO_YAW, RejectReason.NO_ATTITUDE})
+"""Reasons for which the autopilot's telemetry is missing or late: stamps are checked before."""
 
 
 class RejectMessages:
@@ -350,6 +352,7 @@ class RejectMessages:
             commands.append(Record("refused", fields))
         are_many = len(times_s) == MANY and now_s - times_s[0] <= MANY_WITHIN_S
         if are_many and reason not in HARMLESS and self._texts.is_due(reason, now_s):
-            text = f"measurements rejected: {reason.value}; check the radio"
+            remedy = "check rates and link" if reason in OWN_STATE else "check the radio"
+            text = f"measurements rejected: {reason.value}; {remedy}"
             commands.append(Announce(Severity.WARNING, text))
         return commands

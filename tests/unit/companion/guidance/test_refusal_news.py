@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pytest
+
 from companion.estimation.screen import RejectReason
 from companion.guidance.commands import Announce, Record
 from companion.guidance.messages import MANY, TEXT_PERIOD_S, RejectMessages
@@ -29,6 +31,15 @@ def test_many_are_reported_to_people_once_a_minute() -> None:
     _, texts = announced(RejectReason.NOT_FINITE, [0.1 * step for step in range(1000)])
     assert len(texts) == 1 + int((99.9 - 0.1 * MANY) // TEXT_PERIOD_S)
     assert texts[0].text == "measurements rejected: not finite; check the radio"
+
+
+@pytest.mark.parametrize("reason", [RejectReason.NO_POSITION, RejectReason.NO_YAW])
+def test_what_the_autopilot_did_not_send_is_not_blamed_on_the_radio(reason: RejectReason) -> None:
+    """A second of delay on the autopilot's line: 'own position unknown; check the radio'."""
+    _, texts = announced(reason, [0.1 * step for step in range(2 * MANY)])
+    assert [each.text for each in texts] == [
+        f"measurements rejected: {reason.value}; check rates and link"
+    ]
 
 
 def test_a_few_are_not_nor_what_says_nothing_against_the_radio() -> None:
