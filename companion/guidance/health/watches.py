@@ -229,7 +229,8 @@ class OperatorCommandWatch(Watch):
                 self._finding = RETURNS
             case OperatorCommand.GRANT:
                 context.enter(Trigger.GRANTED, event.time_s)
-                text += f": switch to {context.vehicle.guided_name}"
+                switch = f": switch to {context.vehicle.guided_name}"
+                text += ": control begins" if context.vehicle.is_ours else switch
         self.is_idle = self._finding is None
         context.announce(Severity.NOTICE, text)
 

@@ -132,9 +132,17 @@ def test_a_grant_that_waits_for_nothing_is_refused_and_one_for_a_found_vehicle_i
     flight.fly(1.0)
     assert flight.session.objection_to(OperatorCommand.GRANT) is None
     ask(flight, OperatorCommand.GRANT)
-    assert flight.texts[-1] == "GRANT accepted: switch to offboard mode"
+    assert flight.texts[-1] == "GRANT accepted: control begins"
     flight.fly(1.2)
     assert flight.is_in(Phase.HOLD, Phase.NORMAL)
+
+
+def test_a_grant_in_another_mode_names_the_mode_to_choose() -> None:
+    flight = in_phase(Phase.YIELD)
+    flight.session.authority.demand_grant("failsafe")
+    flight.show(FlightMode.RETURN)
+    ask(flight, OperatorCommand.GRANT)
+    assert flight.texts[-1] == "GRANT accepted: switch to offboard mode"
 
 
 def test_a_hold_ends_with_the_control_it_was_made_under() -> None:
