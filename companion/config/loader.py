@@ -2,7 +2,7 @@
 
 msgspec checks types, bounds and unknown keys against the record. This module checks the rest:
 repeated keys (YAML keeps the last one silently), numbers that are not finite, texts that cannot be
-shown, and two traps of YAML 1.1: `1e-3` without a point is text, and `2:00` is 120.
+shown, and traps of YAML 1.1: `1e-3` without a point is text, `2:00` is 120, and `020` is 16.
 
 msgspec stops at the first problem. Here the faulty value is removed and the rest is checked again,
 so that one run names every problem of a file, one per line: a wrong key with the most similar
@@ -45,6 +45,8 @@ _UNSHOWN = re.compile(
 )
 """Control characters, those that turn the direction of a line, and halves of a character."""
 
+_OCTAL = re.compile(r"[-+]?0[0_]*[1-7]_*[0-7]")
+"""A number in base eight that is another one in base ten."""
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+|\.\.\.)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
@@ -95,15 +97,17 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """Return the number of a node, as the safe loader does; refuse base sixty and overflow."""
+        """Return the number of a node, as the safe loader does; refuse other bases and overflow."""
         problem = "is too large"
+        is_whole = node.tag == "tag:yaml.org,2002:int"
+        is_octal = is_whole and _OCTAL.match(node.value)
         try:
-            if ":" not in node.value:
-                is_whole = node.tag == "tag:yaml.org,2002:int"
+            if ":" not in node.value and not is_octal:
                 make = self.construct_yaml_int if is_whole else self.construct_yaml_float
                 number: int | float = make(node)
                 return number
-            problem = "would be read in base sixty; give one number, or a text in quotes"
+            base = "eight" if is_octal else "sixty"
+            problem = f"would be read in base {base}; give one number, or a text in quotes"
         except ValueError:
             pass
         shown = node.value if len(node.value) <= SHOWN else f"{node.value[:SHOWN]}..."

@@ -162,6 +162,14 @@ def test_broken_yaml_is_a_config_error_in_one_line(text: str) -> None:
             "filter:\n  window: 1:2.5",
             "line 2, column 11: the number `1:2.5` would be read in base s",
         ),
+        (
+            "filter: {window: 020}",
+            "line 1, column 18: the number `020` would be read in base eight;",
+        ),
+        (
+            "filter: {window: -0_12}",
+            "line 1, column 18: the number `-0_12` would be read in base e",
+        ),
         ("\nfilter: {window: 1" + "0" * 5000 + "}", "line 2, column 18: the number `1000000000000"),
         ("filter:\n  name: a\0b", "line 2: has characters that cannot be shown"),
         ('name: "a\\e[31mb"', "$.name: has characters that cannot be shown"),
@@ -175,6 +183,11 @@ def test_what_yaml_reads_otherwise_than_people_is_refused_with_its_place(
     with pytest.raises(ConfigError) as caught:
         parse_yaml(text, Settings, "a.yaml")
     assert str(caught.value).startswith(f"a.yaml: {problem}")
+
+
+def test_a_leading_zero_before_one_digit_or_a_point_is_read() -> None:
+    settings = parse_yaml("filter: {window: 07, range_sigma_m: 010.5}", Settings, "a.yaml")
+    assert settings.filter == FilterParams(window=7, range_sigma_m=10.5)
 
 
 def test_a_syntax_error_tells_line_and_column() -> None:
