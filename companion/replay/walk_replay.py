@@ -159,26 +159,18 @@ def replay_walk(
         if row.yaw_sigma_rad > 0.0:
             sigma_rad = math.hypot(math.radians(params.filter.bearing_sigma_deg), row.yaw_sigma_rad)
             measurement = replace(measurement, bearing_sigma_rad=sigma_rad)
-        agent_enu_m = (
-            row.agent_enu_m[0] - east_m,
-            row.agent_enu_m[1] - north_m,
-            row.agent_enu_m[2],
-        )
+        east, north, up = row.agent_enu_m
+        agent_enu_m = (east - east_m, north - north_m, up)
         target.tracker.fuse(measurement, agent_enu_m, target.last_s, row.own)
         if progress is not None and number % PROGRESS_ROWS == 0:
             progress(number)
     if not targets:
         raise ConfigError(f"{path}: has no rows below its header")
-    return [
-        _moved(
-            replace(
-                result_of(target.tracker, target_id, target.rows, target.last_s),
-                truth_enu_m=target.truth_enu_m,
-            ),
-            (east_m, north_m),
-        )
-        for target_id, target in targets.items()
-    ]
+    results = []
+    for target_id, target in targets.items():
+        result = result_of(target.tracker, target_id, target.rows, target.last_s)
+        results.append(_moved(replace(result, truth_enu_m=target.truth_enu_m), (east_m, north_m)))
+    return results
 
 
 def origin_of(rows: Sequence[WalkRow]) -> tuple[float, float]:
@@ -267,6 +259,7 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
             numbers: dict[str, int] = {}
             rows = []
             for row in reader:
+                _check_row(row, path, reader.line_num)
                 cells = _cells(row, has_points=separator == ",")
                 if own_sigma_m is not None:
                     cells.pop("own_sigma_m", None)
@@ -291,6 +284,16 @@ def _check_columns(present: Sequence[str], line: str) -> None:
     twice = [name for name in COLUMNS if present.count(name) > 1]
     if twice:
         raise ConfigError(f"{line}: more than one column {', '.join(twice)}")
+
+
+def _check_row(row: Mapping[str | None, str | list[str] | None], path: Path, line: int) -> None:
+    """Raise ConfigError for a row of several lines, or with more cells than columns."""
+    for cell in row.values():
+        lines = cell.splitlines() if isinstance(cell, str) else []
+        if lines and lines != [cell]:
+            raise ConfigError(f"{path}: line {line - len(lines) + 1}: a quote is not closed there")
+    if any(text.strip() for text in row.get(None) or ()):
+        raise ConfigError(f"{path}: line {line}: more cells than columns; write decimals as 1.5")
 
 
 def _conversions(present: Sequence[str]) -> Iterator[str]:

@@ -145,6 +145,18 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
             "t_s,agent_x_m,agent_y_m,target_id,range_m,range_m\n0,1,2,A,3,\n",
             "line 1: more than one column range_m",
         ),
+        (
+            "t_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,A,3,\n1,1,2,A,9,54\n",
+            "line 3: more cells than columns",
+        ),
+        (
+            't_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,"A,3\n1,1,2,A,4\n',
+            "line 2: a quote is not closed",
+        ),
+        (
+            't_s,agent_x_m,agent_y_m,target_id,range_m\n0,1,2,"A,3\n1,1,2,A",4\n',
+            "line 2: a quote is not closed",
+        ),
     ],
 )
 def test_broken_file_names_the_line(tmp_path: Path, text: str, problem: str) -> None:
