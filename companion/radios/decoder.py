@@ -211,13 +211,13 @@ class LineDecoder(RadioDecoder):
 
     A line ends with LF, CR or CRLF in any cut; one beyond `longest_line` is dropped whole and
     counted. Bytes that are not text are replaced, so that a line is always a `str`; a byte order
-    mark, and colours, cursor movements and titles of a terminal are removed, as is the stamp that
-    a terminal or a logger prints before each line.
+    mark, and colours, cursor movements and titles of a terminal are removed, as is, without
+    `has_stamps`, the stamp that a terminal or a logger prints before each line.
     """
 
     longest_line = 4096
-    has_stamps: bool = False
-    """True if stamps before the lines are part of the format, and are not removed."""
+    has_stamps: bool = True
+    """True if a stamp before a line may be part of the format, as in a plugin's; it stays there."""
     _LINE_END = re.compile(rb"\r\n?|\n")
     _STAMP = re.compile(
         r"(?:\[(?:[0-9]{4}-[0-9]{2}-[0-9]{2}[ T])?[0-9]{2}:[0-9]{2}:[0-9]{2}"

@@ -318,6 +318,8 @@ def _unit_of(behind: re.Match[str] | None) -> str | None:
 class FieldDecoder(LineDecoder):
     """Decoder whose lines consist of named fields."""
 
+    has_stamps = False
+
     def understood(self, reading: RadioReading) -> list[RadioReading]:
         """Count a frame with one reading; return the reading."""
         self.counts.frames += 1

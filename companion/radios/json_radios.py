@@ -288,6 +288,8 @@ DECODER = msgspec.json.Decoder(Line)
 class NdjsonDecoder(LineDecoder):
     """Decoder of one measurement a line, of any emitter."""
 
+    has_stamps = False
+
     def begin(self) -> None:
         """Begin with any unit of angles: another program may send next."""
         super().begin()

@@ -213,6 +213,7 @@ class KrakenLinesDecoder(KrakenDecoder, LineDecoder):
     """Decoder of `DOA_value.html`: a line a channel of 17 fields, and the power of each degree."""
 
     longest_line = 16_384
+    has_stamps = False
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading of one channel's line; a torn one has another number of fields."""

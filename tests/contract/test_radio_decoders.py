@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from companion.radios.decoder import BUILT_IN, LineDecoder, radio_kind
+from companion.radios.decoder import BUILT_IN, LineDecoder, RadioReading, radio_kind
 from companion.testing.radio_contract import check_radio, golden_lines
 from tests.contract.radio_streams import CHECKSUMMED, DISCERNS_REPEATS, OPTIONS, STREAMS
 
@@ -58,3 +58,16 @@ def test_a_stamp_before_each_line_changes_no_reading(name: str, program: str) ->
     decoder = make(OPTIONS.get(name))
     read = [each for byte in stamped for each in decoder.feed(bytes([byte]), 0.0)]
     assert golden_lines(read) == golden_lines(plain)
+
+
+def test_a_plugin_reads_its_lines_as_they_were_sent() -> None:
+    lines: list[str] = []
+
+    class Plugin(LineDecoder):
+        def read_line(self, line: str, received_s: float) -> list[RadioReading]:
+            del received_s
+            lines.append(line)
+            return []
+
+    Plugin().feed(b"10:11:12.345 RANGE 7\n", 0.0)
+    assert lines == ["10:11:12.345 RANGE 7"]
