@@ -199,7 +199,7 @@ class Handover:
             self._is_ignoring_announced = False
         elif not self._is_ignoring_announced:
             self._is_ignoring_announced = True
-            reason = "the target is reported" if is_finished else authority.grant_reason
+            reason = "the search is over" if is_finished else authority.grant_reason
             text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, until ready"
             if reason is not None:
                 text = f"{name} ignored: {reason}; {GRANT_HOW}"

@@ -266,8 +266,23 @@ def test_offboard_after_the_report_is_not_ignored_in_silence() -> None:
     flight.show(FlightMode.OFFBOARD)
     flight.fly(2.0)
     assert flight.is_in(Phase.FINISHED)
-    text = f"GUIDED ignored: the target is reported; {GRANT_HOW}"
+    text = f"GUIDED ignored: the search is over; {GRANT_HOW}"
     assert flight.texts.count(text) == 1
+
+
+def test_a_search_that_the_battery_ended_is_not_said_to_have_reported_its_target() -> None:
+    flight = flying(Autopilot.ARDUPILOT)
+    for _ in range(3):
+        flight.give(BatteryReported(flight.now_s, 93.0, BatteryLevel.LOW))
+        flight.fly(1.0)
+    flight.fly(22.0)
+    assert any(text.startswith("SEARCH ENDED, battery low") for text in flight.texts)
+    flight.show(FlightMode.RETURN)
+    flight.fly(3.0)
+    flight.show(FlightMode.OFFBOARD)
+    flight.fly(2.0)
+    ignored = [text for text in flight.texts if text.startswith("GUIDED ignored")]
+    assert ignored == [f"GUIDED ignored: the search is over; {GRANT_HOW}"]
 
 
 @pytest.mark.slow
