@@ -159,7 +159,7 @@ def test_a_variant_of_a_line_has_its_value(radio: str, printed: str, ranges_m: l
             "1 line or frame understood, no measurement",
         ),
         ("pans@/dev/x", "POS,1.0,2.0,0.5,80\n", "understood, no measurement"),
-        ("pans@/dev/x", "[2026-01-01 12:00:00] DIST,1,AN0,0EA1,0,0,0,2.97\n", "1 line not recog"),
+        ("pans@/dev/x", "tag DIST,1,AN0,0EA1,0,0,0,2.97\n", "1 line not recog"),
         (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", "Dist (cm): 320\n", "stands behind `cm`"),
         (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", '{"range_cm": 320}\n', "stands behind `cm`"),
         (r"lines:pattern=': (?P<range_m>\d+)'@/dev/x", '{"rangeMm": 3200}\n', "stands behind `mm`"),
