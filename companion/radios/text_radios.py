@@ -134,7 +134,7 @@ class TrekDecoder(SlotDecoder):
         answered = [
             (slot, int(text, 16) / 1000.0, slot, None)
             for slot, text in enumerate(found[2].split())
-            if mask >> slot & 1 and not is_overflow(int(text, 16))
+            if mask >> slot & 1
         ]
         return self.read_slots(int(found[3]), answered, "no anchor answered")
 

@@ -206,7 +206,7 @@ def test_a_line_has_the_value_that_its_radio_measured(
         (
             "trek1000@/dev/ttyACM0",
             "mc 01 ffffffff 000005a3 00000512 000004fe 0958 c0 40424042 a0:0\n",
-            "no anchor answered",
+            "beyond every radio",
         ),
         (
             "kraken@http://127.0.0.1:8081",

@@ -303,9 +303,8 @@ NONE = "ffffffff"
             f"mc 01 00000401 {NONE} {NONE} {NONE}  {NONE} {NONE} {NONE} 0a1b 2c 00031f04 a0:0 22be",
             {0: 1.025},
         ),
-        (f"mc 03 00000401 {NONE} 00000000 00000000 0a1b 2c 00031f04 a0:0", {0: 1.025}),
     ],
-    ids=["four", "short time", "eight", "seven", "masked without a value"],
+    ids=["four", "short time", "eight", "seven"],
 )
 def test_a_trek_report_has_four_to_eight_slots(line: str, ranges_m: dict[int, float]) -> None:
     readings = TrekDecoder().feed(f"{line}\r\n".encode(), 0.0)
