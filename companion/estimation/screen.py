@@ -62,13 +62,13 @@ class RejectReason(Enum):
     RANGE_OUTLIER = "range too short for the estimate"
     BEARING_OUTLIER = "bearing off the estimate"
     POWER_OUTLIER = "signal too strong for the estimate"
-    NO_POSITION = "own position unknown at its time"
-    NO_YAW = "own yaw unknown at its time"
-    NO_ATTITUDE = "own roll, pitch or yaw unknown at its time"
+    NO_POSITION = "vehicle position unknown at its time"
+    NO_YAW = "vehicle yaw unknown at its time"
+    NO_ATTITUDE = "vehicle roll, pitch or yaw unknown at its time"
     NO_ANTENNA = "angle of an antenna array that is not configured"
     BY_NORTH = "bearing by north, but an antenna array is configured"
     OUT_OF_VIEW = "outside the antenna's field of view"
-    OWN_JUMP = "own position or yaw jumped about its time"
+    OWN_JUMP = "vehicle position or yaw jumped about its time"
 
 
 class AcceptanceParams(Params, frozen=True):

@@ -35,7 +35,7 @@ def test_many_are_reported_to_people_once_a_minute() -> None:
 
 @pytest.mark.parametrize("reason", [RejectReason.NO_POSITION, RejectReason.NO_YAW])
 def test_what_the_autopilot_did_not_send_is_not_blamed_on_the_radio(reason: RejectReason) -> None:
-    """A second of delay on the autopilot's line: 'own position unknown; check the radio'."""
+    """A second of delay on the autopilot's line: 'position unknown; check the radio'."""
     _, texts = announced(reason, [0.1 * step for step in range(2 * MANY)])
     assert [each.text for each in texts] == [
         f"measurements rejected: {reason.value}; check rates and link"
