@@ -157,7 +157,7 @@ def _wrapped(longitude_deg: float) -> float:
     return (longitude_deg + 180.0) % 360.0 - 180.0
 
 
-LEAST_PIXELS = 400
+MIN_PIXELS = 400
 """Minimum pixels of the longer side, so that cells stay sharp in viewers that smooth."""
 POOR, GOOD = np.array((213.0, 94.0, 0.0)), np.array((0.0, 114.0, 178.0))
 """Vermilion and blue of M. Okabe and K. Ito, "Color Universal Design"."""
@@ -175,7 +175,7 @@ def png_of(state: SearchState) -> bytes:
     colours = POOR + pod[..., None] * (GOOD - POOR)
     alpha = np.where(state.grid.inside, OPACITY, 0)[..., None]
     pixels = np.concatenate((colours, alpha), axis=2).astype(np.uint8)[::-1]
-    scale = max(1, LEAST_PIXELS // max(pod.shape))
+    scale = max(1, MIN_PIXELS // max(pod.shape))
     return encoded_png(pixels.repeat(scale, axis=0).repeat(scale, axis=1))
 
 

@@ -192,7 +192,7 @@ def build_endpoint(
     )
 
 
-MOST_LINKS = 256
+MAX_LINKS = 256
 """The number of a link is a byte in `flight.inputs`."""
 
 
@@ -204,9 +204,9 @@ class FlightFacts(msgspec.Struct, frozen=True, kw_only=True):
     """Setup of a flight, for its replay and its report."""
 
     started_unix_s: Annotated[float, msgspec.Meta(ge=0.0, le=LAST_UNIX_S)]
-    links: Annotated[int, msgspec.Meta(ge=1, le=MOST_LINKS)]
+    links: Annotated[int, msgspec.Meta(ge=1, le=MAX_LINKS)]
     """The vehicle's, those that carry only ranging, radios, and ground stations'; in this order."""
-    gcs_links: Annotated[int, msgspec.Meta(ge=0, le=MOST_LINKS)] = 0
+    gcs_links: Annotated[int, msgspec.Meta(ge=0, le=MAX_LINKS)] = 0
     """Number of links to ground stations."""
     config: CompanionConfig
     """Configuration as read from its file, with the radios of the command line."""

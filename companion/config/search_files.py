@@ -30,11 +30,11 @@ from companion.errors import ConfigError, how_to_install
 from companion.geometry.geofence import GeoFence, LatLon
 from companion.geometry.polygons import is_simple
 from companion.io.files import open_file
-from companion.search.search_grid import MOST_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
+from companion.search.search_grid import MAX_CELLS, SearchSite, SiteArea, SiteRaster, grid_of_site
 
-MOST_CORNERS = 2000
+MAX_CORNERS = 2000
 """Maximum number of corners of all polygons; with these the grid takes a quarter of a second."""
-MOST_RASTER_CELLS = 100 * MOST_CELLS
+MAX_RASTER_CELLS = 100 * MAX_CELLS
 """Maximum number of raster cells, a hundred in each cell of the search; more have no effect."""
 
 
@@ -123,8 +123,8 @@ def _checked(areas: tuple[SiteArea, ...]) -> SearchSite:
     if not areas:
         raise ValueError("there is no polygon in it")
     corners = sum(len(ring) for area in areas for ring in (area.corners_deg, *area.holes_deg))
-    if corners > MOST_CORNERS:
-        raise ValueError(f"{corners} corners in all; at most {MOST_CORNERS}: simplify the polygons")
+    if corners > MAX_CORNERS:
+        raise ValueError(f"{corners} corners in all; at most {MAX_CORNERS}: simplify the polygons")
     if not any(area.weight > 0.0 for area in areas):
         raise ValueError("no polygon has a weight above 0")
     return areas
@@ -190,9 +190,9 @@ def _site_ring(ring: object, path: str) -> tuple[LatLon, ...]:
         positions.pop()
     if len(positions) < 3:
         raise ValueError(f"{path}.geometry: a ring has fewer than 3 corners")
-    if len(positions) > MOST_CORNERS:
+    if len(positions) > MAX_CORNERS:
         raise ValueError(
-            f"{path}.geometry: a ring has more than {MOST_CORNERS} corners; simplify it"
+            f"{path}.geometry: a ring has more than {MAX_CORNERS} corners; simplify it"
         )
     if not is_simple([(100_000.0 * lon, 100_000.0 * lat) for lat, lon in positions]):
         raise ValueError(f"{path}.geometry: a ring has two edges that touch or cross each other")
@@ -264,15 +264,15 @@ def _word_number(word: str, *, is_nan_known: bool = False) -> float:
 
 
 def _check_cells(cells: int) -> None:
-    if cells > MOST_RASTER_CELLS:
-        raise ValueError(f"{cells} cells; at most {MOST_RASTER_CELLS}: make cells larger")
+    if cells > MAX_RASTER_CELLS:
+        raise ValueError(f"{cells} cells; at most {MAX_RASTER_CELLS}: make cells larger")
 
 
 def _raster(box_deg: tuple[float, float, float, float], weights: NDArray[np.float64]) -> SiteRaster:
     """Return the raster of weights, rows from the south, after checks."""
     west, south, east, north = box_deg
     is_in_degrees = -90.0 <= south < north <= 90.0 and -180.0 <= west < east <= west + 360.0
-    if not is_in_degrees or max(east - west, north - south) > MOST_DEGREES:
+    if not is_in_degrees or max(east - west, north - south) > MAX_DEGREES:
         corners = f"{west:g}, {south:g} to {east:g}, {north:g}"
         raise ValueError(f"{corners} are not degrees; save it as WGS84 (EPSG:4326)")
     if np.any(np.isinf(weights)) or np.any(weights < 0.0) or not np.any(weights > 0.0):
@@ -280,7 +280,7 @@ def _raster(box_deg: tuple[float, float, float, float], weights: NDArray[np.floa
     return SiteRaster(west, south, east, north, weights)
 
 
-MOST_DEGREES = 60.0
+MAX_DEGREES = 60.0
 """Largest extent of a raster in degrees; 20 km span 2 degrees of longitude far north."""
 GEOGRAPHIC, PIXEL_IS_POINT = 2, 2
 WGS84_CODES = (4326, 4258, 4269)

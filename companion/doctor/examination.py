@@ -139,7 +139,7 @@ SLOW_ROUND_TRIP_S, USELESS_ROUND_TRIP_S = 0.1, 0.5
 FIX_3D = 3
 LOW_BATTERY_PCT = 30
 SLOW_WRITE_S = 1.0
-LEAST_FREE_MB = 50.0
+MIN_FREE_MB = 50.0
 A_RECENT_TIME_S = 1.735e9
 """Unix time of 2024-12-24; a clock before that was never set."""
 
@@ -181,7 +181,7 @@ def _check_logs(folder: FolderFacts, config: CompanionConfig) -> CheckResult:
         return fail("log.directory", text, "choose another folder in log.directory, or repair it")
     free_mb, took_s = folder.free_mb or 0.0, folder.synced_write_s or 0.0
     text = f"{folder.path}: {free_mb:.0f} MB free, writing 1 MB takes {took_s:.2f} s"
-    if free_mb < LEAST_FREE_MB:
+    if free_mb < MIN_FREE_MB:
         return fail("log.directory", text, "make room, or set log.keep_flights")
     if free_mb < config.log.max_mb:
         fix = f"make room for log.max_mb ({config.log.max_mb:g}), or lower it"

@@ -141,7 +141,7 @@ SPHERE_M = 6_371_000.0
 """Radius of the Earth in PX4, CONSTANTS_RADIUS_OF_EARTH."""
 METRES_PER_DEGREE = 0.011131884502145034 * 1e7
 """ArduPilot: LOCATION_SCALING_FACTOR, of 1e-7 degrees."""
-LEAST_COSINE = 0.01
+MIN_COSINE = 0.01
 """Lower limit of the cosine of latitude, as in ArduPilot's `longitude_scale`."""
 
 
@@ -189,7 +189,7 @@ def _flat_geodetic(origin: LocalOrigin, local: Triple) -> Triple:
 
 
 def _cosine(latitude_deg: float) -> float:
-    return max(LEAST_COSINE, math.cos(math.radians(latitude_deg)))
+    return max(MIN_COSINE, math.cos(math.radians(latitude_deg)))
 
 
 def _wrapped_deg(origin: LocalOrigin, east_deg: float) -> float:

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from companion.geometry.obstacles import ROUNDING_M, FreeSpace, check_corners
 from companion.geometry.polygons import Corners, Point, check_polygon, deepest_point, depth_m
 
-LEAST_FENCE_M2 = 1.0
-LEAST_KEEP_OUT_M2 = 1e-3
+MIN_FENCE_M2 = 1.0
+MIN_KEEP_OUT_M2 = 1e-3
 """Minimum area of a keep-out: that of a mast is valid."""
 
 
@@ -48,9 +48,9 @@ class Fence:
         """Raise `ValueError` for polygons without area, and for a fence without usable area."""
         check_corners((self.polygon_enu_m, *self.keep_out_enu_m, *self.also_inside_enu_m))
         for polygon in (self.polygon_enu_m, *self.also_inside_enu_m):
-            check_polygon("fence", polygon, LEAST_FENCE_M2)
+            check_polygon("fence", polygon, MIN_FENCE_M2)
         for polygon in self.keep_out_enu_m:
-            check_polygon("keep-out", polygon, LEAST_KEEP_OUT_M2)
+            check_polygon("keep-out", polygon, MIN_KEEP_OUT_M2)
         if not self.margin_m >= 0.0:
             raise ValueError("the margin of a fence must be 0 or more")
         middle = deepest_point(self.polygon_enu_m)

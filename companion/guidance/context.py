@@ -53,7 +53,7 @@ from companion.search.searched_area import SearchPrior
 
 ERROR_HOLD_S = 1.0
 WINDOW_S = 10.0
-MOST_ERRORS = 3
+MAX_ERRORS = 3
 TEXT_PERIOD_S = 10.0
 """Shortest time between two texts about errors of the same part."""
 
@@ -63,15 +63,15 @@ class Containment(Watch):
 
     def __init__(self) -> None:
         self.errors: Counter[str] = Counter()
-        self._times_s: deque[float] = deque(maxlen=MOST_ERRORS)
+        self._times_s: deque[float] = deque(maxlen=MAX_ERRORS)
         self._texts = RateLimited(TEXT_PERIOD_S)
         self.is_idle = True
 
     def step(self, now_s: float) -> Finding | None:
         """Return the finding that recent errors cause, or None."""
         times_s = self._times_s
-        if len(times_s) == MOST_ERRORS and now_s - times_s[0] <= WINDOW_S:
-            text = f"{MOST_ERRORS} internal errors in {WINDOW_S:g} s"
+        if len(times_s) == MAX_ERRORS and now_s - times_s[0] <= WINDOW_S:
+            text = f"{MAX_ERRORS} internal errors in {WINDOW_S:g} s"
             return Finding(Verdict.HAND_BACK, Reason.INTERNAL_ERROR, text)
         if times_s and now_s - times_s[-1] < ERROR_HOLD_S:
             return Finding(Verdict.HOLD, Reason.INTERNAL_ERROR, "internal error")

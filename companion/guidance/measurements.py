@@ -47,7 +47,7 @@ WAKE_ROWS = 20_000
 """Measurements that the steps of one wake-up process: a tenth of a control period, 5 ms."""
 BEGIN_ROWS = 4_000
 """Cost of a measurement besides solutions, in this unit: 1 ms in plain Python."""
-MOST_QUEUED = 256
+MAX_QUEUED = 256
 """Limit at which the oldest is dropped: 16 emitters at 10 Hz for more than a second."""
 
 
@@ -77,7 +77,7 @@ class FusionQueue:
 
     def add(self, queued: Queued) -> bool:
         """Queue a measurement; return True if it took the place of an older one."""
-        is_full = sum([len(queue) for queue in self.by_emitter.values()]) >= MOST_QUEUED
+        is_full = sum([len(queue) for queue in self.by_emitter.values()]) >= MAX_QUEUED
         if is_full:
             self._drop_oldest()
         self.by_emitter.setdefault(queued.measurement.emitter_id, deque()).append(queued)

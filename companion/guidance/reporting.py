@@ -51,7 +51,7 @@ IMPROVED_SHARE = 0.92
 """Share of the mark below which R95 has improved."""
 WORSE_RATIO = 1.5
 """Growth of R95 that sets a new mark, because measurements contradicted the old one."""
-MOST_SETTLED_M = 100.0
+MAX_SETTLED_M = 100.0
 """R95 above which no position is reported, unless `localised_r95_m` is larger."""
 ONE_POSITION = (EstimateState.LOCALISED, EstimateState.SEARCHING)
 
@@ -91,7 +91,7 @@ class SettledRule:
         self._heard_s = heard_s
         r95_m = estimate.r95_m
         is_localised = estimate.state is EstimateState.LOCALISED
-        if estimate.state not in ONE_POSITION or (r95_m > MOST_SETTLED_M and not is_localised):
+        if estimate.state not in ONE_POSITION or (r95_m > MAX_SETTLED_M and not is_localised):
             self._mark = None
             return False
         if self._mark is None or not (

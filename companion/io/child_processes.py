@@ -162,7 +162,7 @@ LEEWAY_S = 0.2
 the 0.5 s after which PX4 leaves OFFBOARD (it needs setpoints at 2 Hz)."""
 WINDOW_S = 2.0
 """Real time over which the speed is judged: one stall of half a second does not change it."""
-LEAST_SHARE = 0.75
+MIN_SHARE = 0.75
 """Share of `speed` below which the rate that was reached is nearer to half of it."""
 PATIENCE_S = 5.0
 """Real time after which a process that does not wake up has ended, and is not waited for."""
@@ -261,7 +261,7 @@ class Pacer(SharedClock):
         since_s, from_s = self._judged_s
         if wall_s - since_s < WINDOW_S:
             return
-        if flight_s - from_s < LEAST_SHARE * self.speed * (wall_s - since_s):
+        if flight_s - from_s < MIN_SHARE * self.speed * (wall_s - since_s):
             slower = max(min(1.0, self.speed), self.speed / 2.0)
             self.speed, self._is_behind = slower, slower == self.speed
         self._judged_s = (wall_s, flight_s)

@@ -287,7 +287,7 @@ NO_BEGINNING = (
     "does not begin with a flight's start (an old part was given up to the log's cap, or this is "
     "no flight.inputs)"
 )
-MOST_PAUSE_S = 86_400.0
+MAX_PAUSE_S = 86_400.0
 """Longest pause between two records: no flight continues after a day."""
 
 
@@ -321,7 +321,7 @@ class _RecordReader:
         end = body_end + self._crc_size
         if kind not in _KINDS or end > len(data):
             return None
-        if not (last_s == 0.0 or abs(time_s - last_s) <= MOST_PAUSE_S) or not math.isfinite(time_s):
+        if not (last_s == 0.0 or abs(time_s - last_s) <= MAX_PAUSE_S) or not math.isfinite(time_s):
             return None
         if self._is_checked:
             (crc,) = _CRC.unpack_from(data, body_end)

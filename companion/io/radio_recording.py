@@ -25,9 +25,9 @@ from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.io.files import OnDamage, open_file
 
 VERSION = 1
-MOST_DATA_BYTES = 65_536
+MAX_DATA_BYTES = 65_536
 """Maximum number of bytes of one record; more are split over several."""
-MOST_LINE_BYTES = 262_144
+MAX_LINE_BYTES = 262_144
 BUFFER_BYTES = 65_536
 BUFFER_S = 1.0
 """Longest time whose lines a power cut may cost, in s."""
@@ -123,9 +123,9 @@ class RadioRecordingWriter:
     def write(self, record: Record) -> None:
         """Add a record; it is handed to the system within a second of records."""
         match record:
-            case RadioBytes() if len(record.data) > MOST_DATA_BYTES:
-                for start in range(0, len(record.data), MOST_DATA_BYTES):
-                    part = record.data[start : start + MOST_DATA_BYTES]
+            case RadioBytes() if len(record.data) > MAX_DATA_BYTES:
+                for start in range(0, len(record.data), MAX_DATA_BYTES):
+                    part = record.data[start : start + MAX_DATA_BYTES]
                     self.write(RadioBytes(record.t_s, record.radio, part))
                 return
             case TimedPose() if not _is_finite(record):
@@ -239,10 +239,10 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     try:
         with open_file(path) as file:
             for number in range(1, 2**63):
-                line = file.readline(MOST_LINE_BYTES)
+                line = file.readline(MAX_LINE_BYTES)
                 if not line:
                     return
-                if len(line) == MOST_LINE_BYTES and not line.endswith(b"\n"):
+                if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     raise ConfigError(f"{path}: line {number}: longer than any record")
                 yield number, line
     except OSError as error:

@@ -65,7 +65,7 @@ NEEDS_MAVLINK_2 = "its port speaks MAVLink 1, which has no fences: set it to MAV
 READ_AGAIN_S = 10.0
 """Interval of repeated readings: at 5 m/s, the usual speed limit, a vehicle flies 50 m in it; a
 square takes about 5 frames."""
-MOST_SHARE = 0.2
+MAX_SHARE = 0.2
 """Largest share of time that readings of a long fence may take."""
 PARAMETER_PREFIXES = ("FENCE_", "GF_")
 """Prefixes of the fence's parameters: ArduPilot's and PX4's."""
@@ -245,7 +245,7 @@ class FenceDownload:
         self._owes_ack = True
         self._rest_s = REST_S
         self._read_id = reading.fence_id
-        self._again_s = now_s + max(READ_AGAIN_S, (now_s - reading.begun_s) / MOST_SHARE)
+        self._again_s = now_s + max(READ_AGAIN_S, (now_s - reading.begun_s) / MAX_SHARE)
         self._end(now_s)
         try:
             if reading.count > MAX_ITEMS:

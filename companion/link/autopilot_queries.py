@@ -150,7 +150,7 @@ ONLY_FROM = {
 ONLY_IF_THERE = (mavlink.MAVLINK_MSG_ID_RC_CHANNELS, mavlink.MAVLINK_MSG_ID_GPS2_RAW)
 """Streams that do not exist without a transmitter or a second GNSS receiver: requested a few times,
 and again when a transmitter appears."""
-MOST_ASKS = 5
+MAX_REQUESTS = 5
 """Requests for such a stream."""
 ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 """Messages sent only on change: requested by REQUEST_MESSAGE until they arrive."""
@@ -184,7 +184,7 @@ class _Want:
     @property
     def is_given_up(self) -> bool:
         """True if it was requested often enough, and does not exist."""
-        return self.message_id in ONLY_IF_THERE and self.asks >= MOST_ASKS
+        return self.message_id in ONLY_IF_THERE and self.asks >= MAX_REQUESTS
 
     def is_met(self, stream: Stream, now_s: float) -> bool:
         """Return True if it arrives as often as requested."""
@@ -303,7 +303,7 @@ class StreamStopper:
         for message_id, heard_s in self._heard_s.items():
             asks, asked_s = self._asked.get(message_id, (0, -math.inf))
             still_comes = now_s - heard_s <= STILL_COMES_S and now_s - asked_s >= STOP_AGAIN_S
-            if asks < MOST_ASKS and still_comes:
+            if asks < MAX_REQUESTS and still_comes:
                 self._asked[message_id] = (asks + 1, now_s)
                 return _set_interval(message_id, OFF_US, target)
         return None

@@ -42,7 +42,7 @@ from companion.mav.flight_modes import autopilot_of, class_of, gives_control, is
 
 LISTEN_S = 3.0
 """Time to wait for further candidates (MAVLink guide, see above)."""
-MOST_ADDRESSES = 8
+MAX_ADDRESSES = 8
 """Limit of addresses that are kept: forged frames can invent any number."""
 PEER_SILENCE_S = 3.0
 """Silence of the autopilot before the same ids are accepted from a new address."""
@@ -388,7 +388,7 @@ class AutopilotBinding:
 
     def _course_at(self, peer: Address | None) -> IdentityCourse | None:
         course = self._elsewhere.get(peer)
-        if course is None and len(self._elsewhere) < MOST_ADDRESSES:
+        if course is None and len(self._elsewhere) < MAX_ADDRESSES:
             course = self._elsewhere[peer] = IdentityCourse()
         return course
 

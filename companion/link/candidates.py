@@ -15,7 +15,7 @@ from companion.mav.endpoint import Address
 from companion.mav.flight_modes import autopilot_of, class_of
 
 VANISHED_S = 10.0
-MOST_CANDIDATES = 8
+MAX_CANDIDATES = 8
 
 Ids = tuple[int, int]
 
@@ -57,7 +57,7 @@ class Candidates:
         ids = (heartbeat.get_srcSystem(), heartbeat.get_srcComponent())
         autopilot = autopilot_of(heartbeat)
         if autopilot is None or 0 in ids:
-            if len(self.unfit) < MOST_CANDIDATES:
+            if len(self.unfit) < MAX_CANDIDATES:
                 self.unfit[ids] = heartbeat.type
             return False
         if wanted_system_id not in (None, ids[0]):
@@ -67,7 +67,7 @@ class Candidates:
             for other in list(self.known.values()):
                 if self.has_vanished(other.heard_s, now_s) and other is not bound:
                     del self.known[other.ids]
-            if len(self.known) < MOST_CANDIDATES:
+            if len(self.known) < MAX_CANDIDATES:
                 kind = (autopilot, class_of(heartbeat), heartbeat.type)
                 self.known[ids] = Candidate(ids, *kind, peer, now_s, now_s)
         else:

@@ -53,7 +53,7 @@ CONFIRM_STAMPS, CONFIRM_S = 3, 0.3
 """Stamps, and time, for which another course must continue alone before the old one is left."""
 SPAN_S = 1.0
 """Minimum duration of a course from which frames return."""
-RETURNS, FEWEST_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
+RETURNS, MIN_RETURNS, RETURNS_WITHIN_S = 3, 2, 5.0
 """Returns to the old course in a time that prove two senders; fewer where waiting costs nothing."""
 FAR_STEP, BACK_STEP = 16, 240
 """Steps of one counter are smaller than the one, or, for reordered frames, larger than the other,
@@ -293,7 +293,7 @@ class IdentityCourse:
         if not (other.is_steady or (is_cautious and other.count > 1)):
             return SignVerdict.GOES_ON
         self._returns.append(now_s)
-        enough = FEWEST_RETURNS if is_cautious else RETURNS
+        enough = MIN_RETURNS if is_cautious else RETURNS
         lately = [at_s for at_s in self._returns if now_s - at_s <= RETURNS_WITHIN_S]
         is_often = len(lately) >= enough
         are_two_counters = len(self._breaks) == BREAKS and now_s - self._breaks[0] <= (
@@ -327,7 +327,7 @@ class IdentityCourse:
 
 
 ASK_PERIOD_S = 1.0
-MOST_ASKS = 5
+MAX_REQUESTS = 5
 """Requests for each cause: some autopilots do not support the message. Where 30 % of all frames are
 lost, all five remain unanswered in one of thirty cases."""
 
@@ -354,7 +354,7 @@ class HardwareId:
 
     def is_due(self, now_s: float) -> bool:
         """Return True if the id is to be requested now, and count the request."""
-        if self._asks >= MOST_ASKS or now_s - self._asked_s < ASK_PERIOD_S:
+        if self._asks >= MAX_REQUESTS or now_s - self._asked_s < ASK_PERIOD_S:
             return False
         self._asks, self._asked_s = self._asks + 1, now_s
         return True
@@ -373,7 +373,7 @@ class HardwareId:
         if self.uid is None:
             self.uid = uid
         if uid == self.uid:
-            self._asks, self.heard_s = MOST_ASKS, now_s
+            self._asks, self.heard_s = MAX_REQUESTS, now_s
             return False
         self.ask_again()
         return True

@@ -46,7 +46,7 @@ from companion.mav.flight_modes import (
 )
 
 FIRST_RETRY_S = 1.0
-MOST_ASKS = 4
+MAX_REQUESTS = 4
 """Requests with growing intervals; an autopilot without the message rejects each."""
 ALL_MODES = 0.0
 """Second parameter of the request."""
@@ -73,7 +73,7 @@ class OfferedModes:
 
     def due(self, now_s: float, autopilot: Autopilot, target: Ids) -> Message | None:
         """Return the request to send now, if any; an incomplete list is requested again."""
-        is_over = self._is_complete or self._asks >= MOST_ASKS
+        is_over = self._is_complete or self._asks >= MAX_REQUESTS
         if autopilot is not Autopilot.ARDUPILOT or is_over or now_s < self._next_s:
             return None
         self._next_s = now_s + FIRST_RETRY_S * 2**self._asks

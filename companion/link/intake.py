@@ -96,7 +96,7 @@ KNOWN: Amounts = (32_768, 2_000, 500)
 UNKNOWN_PEERS: Amounts = (16_384, 400, 100)
 """Budget of all unknown peers together."""
 ONE_UNKNOWN_PEER: Amounts = (4_096, 100, 50)
-RAW_BYTES, MOST_RAW_BYTES = 8_192, 32_768
+RAW_BYTES, MAX_RAW_BYTES = 8_192, 32_768
 """Bytes that a tick adds to the account of a link with a radio's own format, and its limit."""
 HEARTBEATS = 200
 """Separate budget for HEARTBEATs of the autopilot's address: they alone carry the mode. One a
@@ -109,7 +109,7 @@ class FloodBudget:
     def __init__(self) -> None:
         self.dropped = [0, 0, 0]
         """Refusals so far, by resource: chunks, frames, messages."""
-        self._raw_left = MOST_RAW_BYTES
+        self._raw_left = MAX_RAW_BYTES
         self.renew()
 
     def renew(self) -> None:
@@ -119,7 +119,7 @@ class FloodBudget:
         self._unknown = [0, 0, 0]
         self._by_source: dict[Address | None, list[int]] = {}
         self._heartbeats = 0
-        self._raw_left = min(MOST_RAW_BYTES, self._raw_left + RAW_BYTES)
+        self._raw_left = min(MAX_RAW_BYTES, self._raw_left + RAW_BYTES)
 
     @property
     def dropped_unread(self) -> int:

@@ -28,7 +28,7 @@ EmitterId = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Sign = Literal[1, -1]
-MOST_EMITTERS = 256
+MAX_EMITTERS = 256
 """Limit of names of a stream; forged input can invent any number."""
 LAST_ID = 65_535
 _MAC = re.compile(
@@ -148,7 +148,7 @@ class EmitterNames:
         except KeyError:
             pass
         number = self._find(emitter)
-        if len(self._known) < MOST_EMITTERS:
+        if len(self._known) < MAX_EMITTERS:
             self._known[emitter] = number
         return number
 
@@ -175,7 +175,7 @@ class EmitterNames:
         if key is None or key in self._ids:
             return None if key is None else self._ids[key]
         is_number = isinstance(key, str) and key.isdigit() and int(key) <= LAST_ID
-        if self._settings.unnamed == "refuse" or len(self._ids) >= MOST_EMITTERS:
+        if self._settings.unnamed == "refuse" or len(self._ids) >= MAX_EMITTERS:
             return None
         number = self._ids[key] = int(key) if is_number else self._new_id(str(key))
         if not is_number:

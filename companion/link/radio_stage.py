@@ -17,13 +17,13 @@ from companion.domain import POWER_LIMITS_DBM, RangingMeasurement
 from companion.geometry.coordinates import bearing_enu_from_ned, wrap_pi
 from companion.link.conversion.sender_clock import ClockStep, SenderClock
 from companion.link.intake import RateLimit
-from companion.link.interface import MOST_EMITTERS, EmitterNames, RadioSetup, printable
+from companion.link.interface import MAX_EMITTERS, EmitterNames, RadioSetup, printable
 from companion.radios.decoder import AngleFrame, LineDecoder, RadioReading
 from companion.radios.fields import is_overflow_m
 
 MAX_ANGLE_RAD = 2.0 * math.pi + 1e-6
 """A whole turn; more is most likely another unit."""
-MOST_FIRST, MOST_HEX = 80, 24
+MAX_TEXT_BYTES, MAX_HEX_BYTES = 80, 24
 """Bytes that are shown of a stream in which nothing is understood, as text or in hexadecimal."""
 _UTF_16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[ -~]\x00){8}|(?:\x00[ -~]){8}")
 """Beginning of text as Windows' editors and shells save it: a byte order mark, or 8 characters."""
@@ -77,7 +77,7 @@ def _shown(data: bytes) -> str:
     line = (data.splitlines() or [b""])[0]
     if data.isascii() and line.decode().isprintable():
         return line.decode()
-    return data[:MOST_HEX].hex(" ")
+    return data[:MAX_HEX_BYTES].hex(" ")
 
 
 class RadioStage:
@@ -123,7 +123,7 @@ class RadioStage:
             self.lost += 1
             return []
         self.received += len(data)
-        self._first += data[: MOST_FIRST - len(self._first)]
+        self._first += data[: MAX_TEXT_BYTES - len(self._first)]
         self.received_s = now_s
         try:
             readings = self.decoder.feed(data, now_s)
@@ -194,7 +194,7 @@ class RadioStage:
         if emitter_id is None:
             self._refuse("emitter is not listed")
             shown = printable(reading.emitter)
-            if shown in self.unlisted or len(self.unlisted) < MOST_EMITTERS:
+            if shown in self.unlisted or len(self.unlisted) < MAX_EMITTERS:
                 self.unlisted[shown] = reading.power_dbm
             return None
         if self._is_repeated(emitter_id, reading):

@@ -101,7 +101,7 @@ class TextGate:
 
     def _forget(self, now_s: float) -> None:
         """Drop old causes, so that forged texts cannot fill the memory."""
-        if len(self._announced_s) > MOST_CAUSES:
+        if len(self._announced_s) > MAX_CAUSES:
             self._announced_s = {
                 cause: time_s
                 for cause, time_s in self._announced_s.items()
@@ -109,5 +109,5 @@ class TextGate:
             }
 
 
-MOST_CAUSES = 256
+MAX_CAUSES = 256
 """Number of causes at which old ones are dropped."""

@@ -78,7 +78,7 @@ TURN_SHARE = 0.25
 """Earliest begin of a turn before the end, as a share of the overshoot."""
 DESCENT_GAIN = 1.5
 """Ratio of information rates above which a lower pass is flown: descent and climb take time."""
-LEAST_DESCENT_M = 1.0
+MIN_DESCENT_M = 1.0
 """Smallest descent that is commanded."""
 BEND_RAD = math.radians(55.0)
 """Angle between the approach and the line of sight."""
@@ -244,7 +244,7 @@ class LatchedCrossing:
         above_m = request.height_m - request.altitude_offset_m
         above_m -= HEIGHT_SIGMAS * (request.estimate.height_sigma_m or 0.0)
         descent_m = min(sensor.room_m, above_m - sensor.lowest_m)
-        if descent_m < LEAST_DESCENT_M:
+        if descent_m < MIN_DESCENT_M:
             return 0.0
         high, low = (_leg(request, sensor, before.direction, each) for each in (0.0, descent_m))
         pays = is_low or rate(over_m, low) > DESCENT_GAIN * rate(over_m, high)

@@ -162,9 +162,9 @@ def _begin(memory: SearchMemory) -> Point:
     return (e0 + share * (e1 - e0), n0 + share * (n1 - n0))
 
 
-LEAST_AREA_M2 = 1.0
+MIN_AREA_M2 = 1.0
 """Smallest area to search."""
-MOST_LEGS = 2000
+MAX_LEGS = 2000
 """Limit of legs: more cannot be flown, and planning them would delay control ticks."""
 HeadingDeg = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]
 Corner = Literal["nearest", "south_west", "south_east", "north_west", "north_east"]
@@ -186,11 +186,11 @@ class LawnmowerParams(SearchParams, frozen=True):
         area = self.area_enu_m
         if area is None:
             return
-        problem = polygon_problem(area, LEAST_AREA_M2)
+        problem = polygon_problem(area, MIN_AREA_M2)
         if problem is not None:
             raise ValueError(f"area_enu_m {problem}")
-        if math.dist(*_extent(area)) > MOST_LEGS * self.spacing_m:
-            raise ValueError(f"area_enu_m would take more than {MOST_LEGS} lanes at this spacing_m")
+        if math.dist(*_extent(area)) > MAX_LEGS * self.spacing_m:
+            raise ValueError(f"area_enu_m would take more than {MAX_LEGS} lanes at this spacing_m")
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
         """Return the lanes, perpendicular to the previous sweep's; none without area and fence."""
@@ -247,8 +247,8 @@ class ExpandingSquareParams(DatumSearchParams, frozen=True):
         """Reject a square without a ring."""
         if self.radius_m < self.spacing_m:
             raise ValueError("radius_m must not be less than spacing_m")
-        if 4.0 * self.radius_m > MOST_LEGS * self.spacing_m:
-            raise ValueError(f"radius_m would take more than {MOST_LEGS} legs at this spacing_m")
+        if 4.0 * self.radius_m > MAX_LEGS * self.spacing_m:
+            raise ValueError(f"radius_m would take more than {MAX_LEGS} legs at this spacing_m")
 
     def track(self, request: PlanRequest, datum_enu_m: Point, sweep: int) -> Track:
         """Return the spiral, turned by 45 degrees against the sweep before."""

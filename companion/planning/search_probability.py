@@ -37,13 +37,13 @@ from companion.search.searched_flight import pieces_of, sector_name
 
 FORECASTS_AT_ONCE = 6
 """Forecasts of a leg in one request: about 2 ms in plain Python, of a control tick's 50 ms."""
-MOST_LEGS = 12
+MAX_LEGS = 12
 """Legs of a candidate that are forecast; its best beginning is nearly always shorter."""
 LEAVE_RATIO = 1.2
 """Rate of another candidate over that of the current track; forecasts err by about as much."""
 LEVELS = (0.7, 0.4, 0.15)
 """Densities, relative to the highest, whose regions become candidates."""
-MOST_REGIONS = 3
+MAX_REGIONS = 3
 """Regions of a level that are considered, the most probable first."""
 
 
@@ -278,7 +278,7 @@ class ProbabilityPlanner(SearchPlanner):
             rate=max(it.rate, gain / max(flown_m, 1.0)),
             first=first,
         )
-        if following.index in (len(following.legs), MOST_LEGS):
+        if following.index in (len(following.legs), MAX_LEGS):
             return _with_result(decision, following)
         return replace(decision, candidate=following)
 
@@ -333,7 +333,7 @@ def _regions(outlook: Outlook, level: float) -> tuple[Region, ...]:
     found = list(pieces_of(outlook.grid, density >= level))
     found.sort(key=lambda cells: -float(density[cells].sum()))
     turns = (0, 1, 2, 3) if len(found) == 1 else (0, 1, 2)  # a sector search is about one peak
-    return tuple(Region(cells, turn) for cells in found[:MOST_REGIONS] for turn in turns)
+    return tuple(Region(cells, turn) for cells in found[:MAX_REGIONS] for turn in turns)
 
 
 def _gaining(before: Outlook, after: Outlook) -> Bools:

@@ -24,7 +24,7 @@ from companion.geometry.obstacles import FreeSpace
 from companion.geometry.polygons import Point, Polygon, edges
 
 Floats = NDArray[np.float64]
-LEAST_LEG_M = 0.5
+MIN_LEG_M = 0.5
 """Length below which the rest of a leg is dropped."""
 
 
@@ -55,7 +55,7 @@ def clipped(legs: Sequence[Leg], spaces: Sequence[FreeSpace]) -> Track:
     for space in spaces:
         pieces = (space.pieces(leg.start_enu_m, leg.end_enu_m) for leg in legs)
         legs = [Leg(*piece) for found in pieces for piece in found]
-    return tuple(leg for leg in legs if leg.length_m >= LEAST_LEG_M)
+    return tuple(leg for leg in legs if leg.length_m >= MIN_LEG_M)
 
 
 def heading_of_fewest_lanes_rad(area_enu_m: Polygon) -> float:

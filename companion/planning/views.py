@@ -47,7 +47,7 @@ from companion.geometry.polygons import Point
 from companion.kernel import kernel
 
 Triple = tuple[float, float, float]
-LEAST_HEIGHT_M = 1.0
+MIN_HEIGHT_M = 1.0
 """Minimum height above the target: below it, errors of position and antenna dominate."""
 BISECTIONS = 8
 """Bisections of the overshoot: its bounds are 20 m apart, so that 0.1 m remain."""
@@ -134,7 +134,7 @@ def leg_over(
         if least == 0.0:
             half = WHOLE_RAD
     return LegView(
-        max(abs(height_m), LEAST_HEIGHT_M),
+        max(abs(height_m), MIN_HEIGHT_M),
         turn_m,
         1.0 / (range_m * range_m),
         1.0 / (cosine_rad * cosine_rad) if antenna.rows > 0 else 0.0,

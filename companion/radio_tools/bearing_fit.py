@@ -36,28 +36,28 @@ from companion.radio_tools.clustered_fit import (
 
 SCAN_S = 2.5
 SCAN_STEP_S = 0.1
-MOST_SCANNED = 500
+MAX_SCANNED = 500
 """Bearings of the scan; the fit takes all."""
-LEAST_RESULTANT = 0.5
-LEAST_FOLDED_RESULTANT = 0.8
+MIN_RESULTANT = 0.5
+MIN_FOLDED_RESULTANT = 0.8
 """Minimum resultant length of folded angles; even one that stands still has 0.64."""
 UNLIKELY_PER_S = 1e-3
 """Penalty per second, so that of equally good lags the smallest is chosen."""
-LEAST_LEAD = 0.15
+MIN_LEAD = 0.15
 """Minimum difference by which the resultant of one sign must be the longer."""
 NORTH_LEAD = 0.05
 """The same lead for bearings from north, most of which may have one direction."""
 HUBER_K = 1.5
 SECTORS = 12
-LEAST_SECTORS = 8
+MIN_SECTORS = 8
 PIECE_S = 5.0
 VIEW_STEP_RAD = math.radians(15.0)
-LEAST_IN_A_STEP = 8
+MIN_PER_STEP = 8
 WIDER = 2.5
 """Minimum ratio of the scatter of bearings beyond the field of view to that in its middle."""
 CLIP_SIGMAS = 3.0
 LAG_SIGMA_S = 0.15
-LEAST_SIGMA_RAD = 1e-4
+MIN_SIGMA_RAD = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class BearingSense:
     @property
     def follows(self) -> bool:
         """Return True if the bearing turns with the vehicle."""
-        least = LEAST_FOLDED_RESULTANT if self.is_folded else LEAST_RESULTANT
+        least = MIN_FOLDED_RESULTANT if self.is_folded else MIN_RESULTANT
         return self.resultant >= least
 
 
@@ -146,7 +146,7 @@ def find_sense(
     known &= track.knows(samples.times_s + SCAN_S, with_yaw=True)
     if known.sum() < 20:
         known = track.knows(samples.times_s, with_yaw=True)
-    step = max(1, int(known.sum()) // MOST_SCANNED)
+    step = max(1, int(known.sum()) // MAX_SCANNED)
     times, said = samples.times_s[known][::step], samples.bearings_rad[known][::step]
     best: dict[tuple[int, bool], tuple[float, float, float]] = {}
     for lag in np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S):
@@ -241,14 +241,14 @@ def core_sigma(errors: Vector, groups: list[Labels]) -> tuple[Figure, float]:
 
     Of the intervals by each grouping of correlated errors the widest is used.
     """
-    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
+    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), MIN_SIGMA_RAD)
     share, anywhere = 0.05, 1.0 / max(2.0 * float(np.max(np.abs(errors))), 12.0 * sigma)
     core = np.ones(len(errors))
     for _ in range(40):
         density = np.exp(-0.5 * (errors / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi))
         core = (1.0 - share) * density / ((1.0 - share) * density + share * anywhere)
         share = min(max(1.0 - float(core.mean()), 1e-4), 0.5)
-        sigma = max(math.sqrt(float(np.sum(core * errors**2) / core.sum())), LEAST_SIGMA_RAD)
+        sigma = max(math.sqrt(float(np.sum(core * errors**2) / core.sum())), MIN_SIGMA_RAD)
     squares = core * errors**2
     figures = [ratio_figure(sums_of(squares, by), sums_of(core, by)) for by in groups]
     variance = max(figures, key=lambda figure: figure.half_width)
@@ -277,7 +277,7 @@ def fit_bearings(
     if sense.is_folded:  # no arcsine is beyond a right angle, so noise there has one side
         usual = MAD_TO_SIGMA * float(np.median(np.abs(errors)))
         inside &= np.abs(np.sin(problem.said_rad) - errors) <= max(0.5, 1.0 - CLIP_SIGMAS * usual)
-    if inside.sum() >= LEAST_IN_A_STEP:
+    if inside.sum() >= MIN_PER_STEP:
         problem.within(inside)
     waves = _observable_waves(sense, covered, view_rad, has_circle=has_circle)
     mount, lag, fit = _solved(problem, lag_s, waves)
@@ -326,7 +326,7 @@ def _solved(
         by_mount = (problem.errors(mount + 1e-3, lag) - problem.errors(mount - 1e-3, lag)) / 2e-3
         by_lag = problem.errors(mount, lag + half_s) - problem.errors(mount, lag - half_s)
         by_lag = wrapped(by_lag) / (2.0 * half_s) if held_s is None else np.zeros(len(errors))
-        sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), LEAST_SIGMA_RAD)
+        sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(errors))), MIN_SIGMA_RAD)
         columns = _waves(problem, mount, lag, waves)
         rows = np.concatenate([-by_mount[:, None], -by_lag[:, None], columns], axis=1)
         if held_s is not None:
@@ -355,7 +355,7 @@ def _sectors(problem: _FitProblem, mount: float, lag: float) -> Labels:
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
     labels = _numbered(turns[0] * SECTORS + turns[1])
-    if int(labels.max()) + 1 >= LEAST_SECTORS:
+    if int(labels.max()) + 1 >= MIN_SECTORS:
         return labels
     return _numbered(np.floor(problem.times_s / PIECE_S))
 
@@ -375,13 +375,13 @@ def field_of_view(off: Vector, errors: Vector, *, is_folded: bool) -> float:
     angles = np.abs(_front(off)) if is_folded else np.abs(off)
     most = 0.5 * math.pi if is_folded else math.pi
     inner = np.abs(errors[angles <= 3.0 * VIEW_STEP_RAD])
-    if len(inner) < LEAST_IN_A_STEP:
+    if len(inner) < MIN_PER_STEP:
         return 2.0 * most
-    usual = max(float(np.median(inner)), LEAST_SIGMA_RAD)
+    usual = max(float(np.median(inner)), MIN_SIGMA_RAD)
     for step in range(2, round(most / VIEW_STEP_RAD)):
         low = step * VIEW_STEP_RAD
         beyond = np.abs(errors[(angles > low) & (angles <= low + VIEW_STEP_RAD)])
-        is_empty = len(beyond) < LEAST_IN_A_STEP
+        is_empty = len(beyond) < MIN_PER_STEP
         if is_empty or float(np.median(beyond)) > WIDER * usual:
             return 2.0 * low
     return 2.0 * most

@@ -248,10 +248,10 @@ def _record(arguments: argparse.Namespace) -> None:
 LISTEN_S = 20.0
 FEWEST = 5
 """Minimum number of ranges for a median; a cell has one for each attach of the phone."""
-MOST_BESIDE_M = 20.0
+MAX_BESIDE_M = 20.0
 """Longest distance to the emitter; farther away a reflection may be in the median."""
 SIGMA_OF_MAD = 1.4826
-MOST_SHOWN = 8
+MAX_SHOWN = 8
 """Emitters that are named to choose from."""
 
 
@@ -275,7 +275,7 @@ class _Listener(OneShotEndpoint):
         kind, stage = self.stage.setup.kind, self.stage
         numbers = [number for number in self._ranges_m if emitter in (None, str(number))]
         if len(numbers) > 1 and not kind.needs_offset:
-            shown = ", ".join(map(str, sorted(numbers)[:MOST_SHOWN]))
+            shown = ", ".join(map(str, sorted(numbers)[:MAX_SHOWN]))
             return f"ranges of emitters {shown}: which is beside the antenna? Add --emitter ID"
         ranges_m = [range_m for number in numbers for range_m in self._ranges_m[number]]
         if len(ranges_m) >= FEWEST:
@@ -296,8 +296,8 @@ class _Listener(OneShotEndpoint):
 def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     """Collect ranges and keep the offset; return the exit code (1: it cannot be) and the report."""
     distance_m = arguments.beside
-    if not 0.0 <= distance_m <= MOST_BESIDE_M:
-        raise ConfigError(f"--beside {distance_m:g}: give metres from 0 to {MOST_BESIDE_M:g}")
+    if not 0.0 <= distance_m <= MAX_BESIDE_M:
+        raise ConfigError(f"--beside {distance_m:g}: give metres from 0 to {MAX_BESIDE_M:g}")
     config = with_radios(load_config(arguments.config), arguments.radios, arguments.config)
     if len(config.radios) != 1:
         raise ConfigError("--beside: name one radio, --radio NAME@URL")

@@ -18,7 +18,7 @@ from companion.arguments import FieldTestName
 from companion.domain import PositionEnu, RangingMeasurement
 from companion.io.radio_recording import TimedPose
 from companion.radio_tools.bearing_fit import (
-    LEAST_LEAD,
+    MIN_LEAD,
     BearingFit,
     BearingSamples,
     covered_rad,
@@ -35,16 +35,16 @@ from companion.radio_tools.clustered_fit import (
     find_tests,
 )
 from companion.radio_tools.range_fit import (
-    LEAST_SPEED_MPS,
+    MIN_SPEED_MPS,
     NLOS_SIGMAS,
     RangeFit,
     RangeSamples,
     fit_ranges,
 )
-from companion.radio_tools.range_lag import MOST_LAG_S, fit_lag, scan_lag
+from companion.radio_tools.range_lag import MAX_LAG_S, fit_lag, scan_lag
 
-LEAST_VALUES = 20
-LEAST_DISTANCES = 4
+MIN_VALUES = 20
+MIN_DISTANCES = 4
 BLOCK_S = 5.0
 BLOCKED_SHARE = 0.5
 KEEP_REPORTED = (0.7, 1.4)
@@ -212,14 +212,14 @@ def _bearing_samples(
 
 
 def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Figure | None:
-    if len(ranges.times_s) < LEAST_VALUES:
+    if len(ranges.times_s) < MIN_VALUES:
         return None
     lag = fit_lag(ranges, track)
-    if lag is not None and abs(lag.value) > MOST_LAG_S:
+    if lag is not None and abs(lag.value) > MAX_LAG_S:
         done.range_refusals.append(_clocks(lag.value))
     if lag is None:
         seen = track.seen(ranges.times_s)
-        moves = float(np.mean(seen.speed_mps > LEAST_SPEED_MPS))
+        moves = float(np.mean(seen.speed_mps > MIN_SPEED_MPS))
         is_scanned = scan_lag(ranges, track) is not None
         if moves > 0.5 and is_scanned:
             done.remarks.append(
@@ -229,7 +229,7 @@ def _range_lag(ranges: RangeSamples, track: PoseTrack, done: Calibration) -> Fig
 
 
 def _clocks(lag_s: float) -> str:
-    return f"clocks disagree: a lag of {lag_s:+.2f} s, above {MOST_LAG_S:.0f} s"
+    return f"clocks disagree: a lag of {lag_s:+.2f} s, above {MAX_LAG_S:.0f} s"
 
 
 def _fit_bearings(
@@ -237,13 +237,13 @@ def _fit_bearings(
 ) -> None:
     """Fit bearings, and determine the common lag."""
     done.lag_s = range_lag
-    if len(samples.times_s) < LEAST_VALUES:
+    if len(samples.times_s) < MIN_VALUES:
         done.bearing_refusals.append(
-            f"only {len(samples.times_s)} bearings; at least {LEAST_VALUES} are needed"
+            f"only {len(samples.times_s)} bearings; at least {MIN_VALUES} are needed"
         )
         return
     sense = find_sense(samples, track, is_by_north=done.is_by_north)
-    if abs(sense.lag_s) > MOST_LAG_S and sense.follows:
+    if abs(sense.lag_s) > MAX_LAG_S and sense.follows:
         done.bearing_refusals.append(_clocks(sense.lag_s))
         return
     if not sense.follows:
@@ -257,7 +257,7 @@ def _fit_bearings(
         done.bearing_refusals.append(
             "no full turn: the sign of the bearing is uncertain; turn once about the vertical axis"
         )
-    elif sense.resultant - sense.other_resultant < LEAST_LEAD and not done.is_by_north:
+    elif sense.resultant - sense.other_resultant < MIN_LEAD and not done.is_by_north:
         done.bearing_refusals.append(
             "clockwise and counter-clockwise fit equally well"
             + (": the antenna faces sideways; mount it facing ahead" if sense.is_folded else "")
@@ -268,7 +268,7 @@ def _fit_bearings(
         )
     has_circle = done.tests.has_circle and not done.is_by_north
     fit = fit_bearings(samples, track, sense, has_circle=has_circle)
-    if fit.lag_s is not None and abs(fit.lag_s.value) > MOST_LAG_S:
+    if fit.lag_s is not None and abs(fit.lag_s.value) > MAX_LAG_S:
         done.bearing_refusals.append(_clocks(fit.lag_s.value))
     if range_lag is not None:
         lag = combined_figure(range_lag, fit.lag_s)
@@ -315,16 +315,16 @@ def _fit_ranges(
     ranges: RangeSamples, blocked: RangeSamples, track: PoseTrack, done: Calibration
 ) -> None:
     """Fit the ranges that are not blocked; `blocked` is a flag for each from the user."""
-    if len(ranges.times_s) < LEAST_VALUES:
+    if len(ranges.times_s) < MIN_VALUES:
         done.range_refusals.append(
-            f"only {len(ranges.times_s)} ranges; at least {LEAST_VALUES} are needed"
+            f"only {len(ranges.times_s)} ranges; at least {MIN_VALUES} are needed"
         )
         return
     lag_s, half_s = (0.0, 0.0) if done.lag_s is None else (done.lag_s.value, done.lag_s.half_width)
     used = track.knows(ranges.times_s - lag_s)
     if done.lag_s is None:  # ranges under way may be wrong by any distance if they are late
-        used &= track.seen(ranges.times_s).speed_mps < LEAST_SPEED_MPS
-        if used.sum() < max(LEAST_VALUES, 0.2 * len(used)):
+        used &= track.seen(ranges.times_s).speed_mps < MIN_SPEED_MPS
+        if used.sum() < max(MIN_VALUES, 0.2 * len(used)):
             done.range_refusals.append(
                 "offset and lag cannot be separated on this path: go back the same way, or stop "
                 "at each distance"
@@ -336,7 +336,7 @@ def _fit_ranges(
         done.blocked = _blocked(blocked, track, fit, lag_s)
     else:
         inside = _blocked_blocks(ranges, track, fit, lag_s)
-        if inside.any() and np.sum(~inside) >= LEAST_VALUES:
+        if inside.any() and np.sum(~inside) >= MIN_VALUES:
             fit = fit_ranges(_picked(ranges, ~inside), track, lag_s, half_s)
             done.blocked = _blocked(_picked(ranges, inside), track, fit, lag_s)
     done.range_fit = fit
@@ -348,11 +348,11 @@ def _picked(samples: RangeSamples, used: Flags) -> RangeSamples:
 
 
 def _check_ranges(fit: RangeFit, done: Calibration) -> None:
-    if len(fit.distances_m) < LEAST_DISTANCES:
+    if len(fit.distances_m) < MIN_DISTANCES:
         listed = ", ".join(f"{distance:.1f}" for distance in fit.distances_m)
         done.range_refusals.append(
             f"only {len(fit.distances_m)} distances ({listed} m); at least "
-            f"{LEAST_DISTANCES} are needed, such as 5 10 20 50 100 m"
+            f"{MIN_DISTANCES} are needed, such as 5 10 20 50 100 m"
         )
     elif not fit.is_scale_seen:
         done.remarks.append(
@@ -375,11 +375,11 @@ def _blocked_blocks(samples: RangeSamples, track: PoseTrack, fit: RangeFit, lag_
     is_long = _errors(samples, track, fit, lag_s) > NLOS_SIGMAS * fit.sigma_m.value
     times = samples.times_s
     seconds = float(times.max() - times.min()) or 1.0
-    block_s = max(BLOCK_S, LEAST_VALUES * seconds / len(times))
+    block_s = max(BLOCK_S, MIN_VALUES * seconds / len(times))
     blocks = np.asarray((times - times.min()) // block_s, dtype=np.int64)
     counts = np.bincount(blocks)
     share = np.bincount(blocks, weights=is_long) / np.maximum(counts, 1)
-    is_blocked = (counts >= LEAST_VALUES // 2) & (share > BLOCKED_SHARE)
+    is_blocked = (counts >= MIN_VALUES // 2) & (share > BLOCKED_SHARE)
     lasts = np.convolve(is_blocked, [1, 1, 1], mode="same") >= 2
     return np.asarray((is_blocked & lasts)[blocks])
 

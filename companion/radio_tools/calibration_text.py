@@ -11,8 +11,8 @@ from companion.radio_tools.range_fit import RangeFit
 
 PRIOR_WIDTHS = 2.5
 """Width of a prior, in half intervals."""
-LEAST_PRIOR_M = 0.1
-LEAST_PRIOR_DEG = 3.0
+MIN_PRIOR_M = 0.1
+MIN_PRIOR_DEG = 3.0
 """Minimum prior of the bearing offset: a compass is worse elsewhere than where calibrated."""
 WHOLE_DEG = 359.0
 
@@ -138,7 +138,7 @@ def yaml_to_paste(done: Calibration) -> str:
         stage["range_scale"] = (
             f"{done.range_fit.effective_scale:.4f}" if done.range_fit.is_scale_used else "1.0"
         )
-        prior_m = max(_upwards(PRIOR_WIDTHS * done.range_fit.offset_m.half_width), LEAST_PRIOR_M)
+        prior_m = max(_upwards(PRIOR_WIDTHS * done.range_fit.offset_m.half_width), MIN_PRIOR_M)
         estimator["range_sigma_m"] = f"{_upwards(done.range_fit.sigma_m.value):g}"
         estimator["range_offset_sigma_m"] = f"{prior_m:g}"
         estimator["range_offset_min_m"] = f"{-2.0 * prior_m:g}"
@@ -177,7 +177,7 @@ def _add_bearing_keys(
             stage["field_of_view_deg"] = f"{view_deg:.0f}"
     sigma_deg = _upwards(math.degrees(fit.sigma_rad.value))
     estimator["bearing_sigma_deg"] = f"{min(sigma_deg, 90.0):g}"
-    estimator["bearing_offset_sigma_deg"] = f"{max(_upwards(prior_deg), LEAST_PRIOR_DEG):g}"
+    estimator["bearing_offset_sigma_deg"] = f"{max(_upwards(prior_deg), MIN_PRIOR_DEG):g}"
     if fit.sense.is_folded:
         estimator["antenna"] = (
             f"{{kind: line, mount_deg: [0, 0, {mount_deg:.1f}], "

@@ -30,7 +30,7 @@ Labels = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 NORMAL_975 = 1.959963984540054
 MAD_TO_SIGMA = 1.4826
-MOST_CONDITION = 1e10
+MAX_CONDITION = 1e10
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,12 +167,12 @@ def linear_fit(rows: Matrix, values: Vector, weights: Vector, labels: Labels) ->
     total, score = information.sum(axis=0), scores.sum(axis=0)
     freedom = max(float(count - parameters), 1.0)
     undetermined = np.full((parameters, parameters), math.inf)
-    if count <= parameters or np.linalg.cond(total) > MOST_CONDITION:
+    if count <= parameters or np.linalg.cond(total) > MAX_CONDITION:
         beta = np.linalg.lstsq(total, score, rcond=1e-10)[0] / scale
         return LinearFit(beta, undetermined, freedom)
     beta = np.linalg.solve(total, score)
     rest = total - information
-    if float(np.max(np.linalg.cond(rest))) > MOST_CONDITION:
+    if float(np.max(np.linalg.cond(rest))) > MAX_CONDITION:
         return LinearFit(beta / scale, undetermined, freedom)
     moved = np.linalg.solve(rest, (score - scores)[:, :, None])[:, :, 0] - beta
     covariance = (count - 1.0) / count * (moved.T @ moved) / np.outer(scale, scale)
@@ -214,13 +214,13 @@ def mills(z: Vector) -> Vector:
     return np.where(z < -3.0, tail, density / np.maximum(mass, 1e-300))
 
 
-MOST_GAP_S = 1.5
+MAX_GAP_S = 1.5
 """Poses are not interpolated over longer gaps."""
 STANDING_MPS = 0.5
 TURN_RAD = math.radians(330.0)
 CIRCLE_RAD = math.radians(270.0)
 STEP_S = 0.25
-LEAST_DISTANCE_M = 1.0
+MIN_DISTANCE_M = 1.0
 """Distances that are nearer to each other, or within a twentieth, are one."""
 
 
@@ -269,7 +269,7 @@ class PoseTrack:
             return np.zeros(len(times_s), dtype=np.bool_)
         after = np.clip(np.searchsorted(known, times_s), 1, len(known) - 1)
         is_inside = (times_s >= known[0]) & (times_s <= known[-1])
-        is_near = known[after] - known[after - 1] <= MOST_GAP_S
+        is_near = known[after] - known[after - 1] <= MAX_GAP_S
         return np.asarray(is_inside & is_near)
 
     def position_enu_m(self, times_s: Vector) -> Matrix:
@@ -317,7 +317,7 @@ def distances_of(distances_m: Vector) -> list[float]:
     """Return the distinct distances, ascending."""
     found: list[float] = []
     for distance in np.sort(distances_m):
-        if not found or distance - found[-1] > max(LEAST_DISTANCE_M, 0.05 * found[-1]):
+        if not found or distance - found[-1] > max(MIN_DISTANCE_M, 0.05 * found[-1]):
             found.append(float(distance))
     return found
 

@@ -37,9 +37,9 @@ PLAYED = "?play=10"
 """URL option that plays a file that may be a log at a hundred lines a second."""
 GARBAGE_BYTES, GARBAGE_SHARE = 1000, 0.5
 """Number of bytes, and their share of non-text, that mean another speed if there is no reading."""
-FEWEST_POWERS = 3
+MIN_POWERS = 3
 """Minimum number of received powers: fewer may be by-products of a console that prints ranges."""
-FEWEST_FRAMES_SHARE = 0.5
+MIN_FRAMES_SHARE = 0.5
 """Minimum share of bytes in binary formats: short frames without a checksum occur in noise."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)
@@ -109,7 +109,7 @@ class Listener:
         fitting = [
             each
             for each in self.candidates
-            if each.powers >= FEWEST_POWERS
+            if each.powers >= MIN_POWERS
             and self._is_mostly_read(each)
             and each.decoder.counts.unrecognised <= each.decoder.counts.frames
         ]
@@ -138,7 +138,7 @@ class Listener:
 
     def _is_mostly_read(self, candidate: _Candidate) -> bool:
         read = 1.0 - candidate.decoder.counts.resync_bytes / max(1, self.bytes)
-        return read >= FEWEST_FRAMES_SHARE or not isinstance(candidate.decoder, FrameDecoder)
+        return read >= MIN_FRAMES_SHARE or not isinstance(candidate.decoder, FrameDecoder)
 
 
 def _left_over(candidate: _Candidate) -> tuple[int, int, int]:

@@ -39,7 +39,7 @@ LINE_S = 1.0
 KEPT = 50
 """Measurements of an emitter that its scatter is of."""
 SIGMA_OF_MAD = 1.4826
-MOST_SHOWN = 12
+MAX_SHOWN = 12
 """Emitters of a radio that get a line."""
 
 Show = Callable[[list[str]], None]
@@ -106,7 +106,7 @@ def scatter_of(values: Sequence[float | None], *, is_angle: bool = False) -> flo
 def _strongest(powers_dbm: Mapping[str, float | None]) -> list[str]:
     """Return the names that were received most strongly, with their power."""
     known = {name: -math.inf if dbm is None else dbm for name, dbm in powers_dbm.items()}
-    names = sorted(known, key=lambda name: -known[name])[:MOST_SHOWN]
+    names = sorted(known, key=lambda name: -known[name])[:MAX_SHOWN]
     return [n if math.isinf(known[n]) else f"{n} ({known[n]:.0f} dBm)" for n in names]
 
 
@@ -176,7 +176,7 @@ class WatchingEndpoint(OneShotEndpoint):
             parts.append(f"refused: {refused}" if refused else "none refused")
             parts += [status.unrecognised] if status.unrecognised else []
             lines.append("  ".join(parts))
-            shown = sorted(self._emitters[number].items())[:MOST_SHOWN]
+            shown = sorted(self._emitters[number].items())[:MAX_SHOWN]
             lines += [view.line(emitter_id, now_s) for emitter_id, view in shown]
             if unlisted := self.stages[number].unlisted:
                 lines.append(f"  not in `emitters`: {', '.join(_strongest(unlisted))}")

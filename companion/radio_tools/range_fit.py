@@ -44,11 +44,11 @@ CLUSTER_M = 3.0
 """Radius within which measurements are taken as from one position."""
 REGION_M = 20.0
 """Radius within which clusters may share reflections; it widens intervals only."""
-LEAST_REGIONS = 6
-LEAST_AT_A_CLUSTER = 5
-LEAST_VALUES_TO_SPLIT = 20
-LEAST_SPEED_MPS = 0.5
-LEAST_SIGMA_M = 1e-3
+MIN_REGIONS = 6
+MIN_PER_CLUSTER = 5
+MIN_VALUES_TO_SPLIT = 20
+MIN_SPEED_MPS = 0.5
+MIN_SIGMA_M = 1e-3
 HALF_FREEDOM = 0.37 / 3.5
 """Degrees of freedom of a mirrored deviation: of half the values, about a fitted mean."""
 
@@ -143,7 +143,7 @@ def fit_ranges(
         sigma_m=total,
         nlos_share=share,
         nlos_excess_m=excess,
-        distances_m=distances_of(distances[np.bincount(labels) >= LEAST_AT_A_CLUSTER]),
+        distances_m=distances_of(distances[np.bincount(labels) >= MIN_PER_CLUSTER]),
         worst_m=_worst(level, scatter.value, labels),
         is_split=is_split(errors - slope - mixture.means_m[labels], labels),
     )
@@ -182,11 +182,11 @@ def cluster_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture
     Excess is distinguished from noise only if its mean is above two sigma.
     """
     means = start
-    sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
+    sigma = max(mirrored_sigma(errors - means[labels]), MIN_SIGMA_M)
     for _ in range(20):
         weights = one_sided_weights((errors - means[labels]) / sigma)
         means = means_of(errors, weights, labels)
-        sigma = max(mirrored_sigma(errors - means[labels]), LEAST_SIGMA_M)
+        sigma = max(mirrored_sigma(errors - means[labels]), MIN_SIGMA_M)
     x = errors - means[labels]
     far = x[x > NLOS_SIGMAS * sigma]
     share = min(max(len(far) / len(x), 1e-3), 0.9)
@@ -209,7 +209,7 @@ def cluster_means(errors: Vector, labels: Labels, start: Vector) -> RangeMixture
         variance = float(np.mean(square) - np.mean(shift[labels] ** 2))
         old, sigma = sigma, sigma * math.sqrt(max(variance, 1e-6))
         excess = max(old * mean_bias, 2.0 * sigma)
-        sigma = max(sigma, LEAST_SIGMA_M)
+        sigma = max(sigma, MIN_SIGMA_M)
         if abs(old - sigma) < 1e-5 * sigma and float(np.max(np.abs(shift))) < 1e-4:
             break
     clusters = int(labels.max()) + 1
@@ -234,7 +234,7 @@ class _Level:
 
 
 def _level(mixture: RangeMixture, distances: Vector, centres: Matrix, labels: Labels) -> _Level:
-    used = np.bincount(labels) >= LEAST_AT_A_CLUSTER
+    used = np.bincount(labels) >= MIN_PER_CLUSTER
     if used.sum() < 2:
         used = np.ones(len(distances), dtype=np.bool_)
     counts = sums_of(mixture.free_share, labels)[used]
@@ -267,7 +267,7 @@ class _WeightedFit:
 def _widest(rows: Matrix, means: Vector, fit: _WeightedFit, regions: Labels, index: int) -> Figure:
     """Return a parameter by clusters or by regions, the one with the wider interval."""
     each = np.arange(len(means), dtype=np.int64)
-    groups = [each, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [each]
+    groups = [each, regions] if int(regions.max()) + 1 >= MIN_REGIONS else [each]
     found = [linear_fit(rows, means, fit.weights, labels).figure(index) for labels in groups]
     return max(found, key=lambda figure: figure.half_width)
 
@@ -301,7 +301,7 @@ def _noise(
 
     For the second every metre of the path has the same weight, however long the vehicle was there.
     """
-    standing = seen.speed_mps < LEAST_SPEED_MPS
+    standing = seen.speed_mps < MIN_SPEED_MPS
     within = errors - mixture.means_m[labels]
     stays = clusters_of(seen.position_enu_m[standing], 0.3 * CLUSTER_M)
     if len(stays) > 20 * (int(stays.max(initial=-1)) + 1) > 0:
@@ -309,7 +309,7 @@ def _noise(
         within = errors[standing] - own.means_m[stays]
     cells = np.unique(np.round(seen.position_enu_m), axis=0, return_inverse=True)[1].reshape(-1)
     each = 1.0 / np.bincount(cells)[cells]
-    scatter = max(mirrored_sigma(within), LEAST_SIGMA_M)
+    scatter = max(mirrored_sigma(within), MIN_SIGMA_M)
     total = max(mirrored_sigma(residuals, each), scatter)
     shared = 1.0 - (scatter / total) ** 2
     clusters = int(labels.max()) + 1
@@ -351,7 +351,7 @@ def is_split(within: Vector, labels: Labels) -> bool:
     split = clusters = 0
     for cluster in range(int(labels.max()) + 1):
         values = np.sort(within[labels == cluster])
-        if len(values) < LEAST_VALUES_TO_SPLIT:
+        if len(values) < MIN_VALUES_TO_SPLIT:
             continue
         clusters += 1
         cut = 0.5 * float(values[0] + values[-1])

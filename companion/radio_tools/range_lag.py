@@ -26,21 +26,21 @@ from companion.radio_tools.clustered_fit import (
 )
 from companion.radio_tools.range_fit import (
     CLUSTER_M,
-    LEAST_REGIONS,
-    LEAST_SIGMA_M,
-    LEAST_SPEED_MPS,
+    MIN_REGIONS,
+    MIN_SIGMA_M,
+    MIN_SPEED_MPS,
     REGION_M,
     RangeSamples,
     means_of,
     one_sided_weights,
 )
 
-MOST_LAG_S = 2.0
+MAX_LAG_S = 2.0
 SCAN_S = 2.5
 """Margin scanned beyond the plausible lags, so that a lag at the edge is recognised as none."""
 SCAN_STEP_S = 0.1
-LEAST_MOVING = 20
-LEAST_CONTRAST_MPS = 0.3
+MIN_MOVING = 20
+MIN_CONTRAST_MPS = 0.3
 """Minimum difference of the vehicle's speed towards the point at the same position."""
 LAG_SIGMA_S = 0.15
 """Largest sigma of a determined lag."""
@@ -49,9 +49,9 @@ LAG_SIGMA_S = 0.15
 def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
     """Return the lag, to 0.1 s, at which ranges of a cluster agree best; None if it stood still."""
     lags = np.arange(-SCAN_S, SCAN_S + 1e-9, SCAN_STEP_S)
-    moving = track.seen(samples.times_s).speed_mps > LEAST_SPEED_MPS
+    moving = track.seen(samples.times_s).speed_mps > MIN_SPEED_MPS
     moving &= track.knows(samples.times_s - SCAN_S) & track.knows(samples.times_s + SCAN_S)
-    if moving.sum() < LEAST_MOVING:
+    if moving.sum() < MIN_MOVING:
         return None
     times, ranges = samples.times_s[moving], samples.ranges_m[moving]
     spreads = []
@@ -64,7 +64,7 @@ def scan_lag(samples: RangeSamples, track: PoseTrack) -> float | None:
         counts = np.bincount(labels)
         middles = errors[order][np.cumsum(counts) - counts + (counts - 1) // 2]
         spreads.append(np.abs(errors - middles[labels])[counts[labels] > 3])
-    width = max(min(float(np.median(s)) if len(s) else math.inf for s in spreads), LEAST_SIGMA_M)
+    width = max(min(float(np.median(s)) if len(s) else math.inf for s in spreads), MIN_SIGMA_M)
     costs = [
         float(np.mean(np.sqrt(1.0 + (s / width) ** 2))) if len(s) else math.inf for s in spreads
     ]
@@ -85,8 +85,8 @@ class _OnTheWay:
 
 def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnTheWay | None:
     times = samples.times_s - lag_s
-    moving = track.knows(times) & (track.seen(times).speed_mps > LEAST_SPEED_MPS)
-    if moving.sum() < LEAST_MOVING:
+    moving = track.knows(times) & (track.seen(times).speed_mps > MIN_SPEED_MPS)
+    if moving.sum() < MIN_MOVING:
         return None
     seen = track.seen(times[moving])
     labels = clusters_of(seen.position_enu_m, CLUSTER_M)
@@ -94,7 +94,7 @@ def _on_the_way(samples: RangeSamples, track: PoseTrack, lag_s: float) -> _OnThe
     weights = np.ones(len(errors))
     for _ in range(8):
         residuals = errors - means_of(errors, weights, labels)[labels]
-        sigma = max(mirrored_sigma(residuals), LEAST_SIGMA_M)
+        sigma = max(mirrored_sigma(residuals), MIN_SIGMA_M)
         weights = one_sided_weights(residuals / sigma)
     closing = means_of(seen.closing_mps, weights, labels)[labels] - seen.closing_mps
     residuals = errors - means_of(errors, weights, labels)[labels]
@@ -109,7 +109,7 @@ def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
     way: _OnTheWay | None = None
     for _ in range(6):
         way = _on_the_way(samples, track, lag_s)
-        if way is None or float(np.std(way.closing_mps)) < LEAST_CONTRAST_MPS:
+        if way is None or float(np.std(way.closing_mps)) < MIN_CONTRAST_MPS:
             return None
         rows = way.closing_mps[:, None]
         step_s = float(np.clip(solved(rows, way.errors_m, way.weights)[0], -0.3, 0.3))
@@ -118,7 +118,7 @@ def fit_lag(samples: RangeSamples, track: PoseTrack) -> Figure | None:
             break
     assert way is not None
     regions = clusters_of(way.position_enu_m, REGION_M)
-    groups = [way.labels, regions] if int(regions.max()) + 1 >= LEAST_REGIONS else [way.labels]
+    groups = [way.labels, regions] if int(regions.max()) + 1 >= MIN_REGIONS else [way.labels]
     fits = [linear_fit(rows, way.errors_m, way.weights, labels) for labels in groups]
     found = max((fit.figure(0) for fit in fits), key=lambda figure: figure.half_width)
     if not found.sigma < LAG_SIGMA_S:

@@ -24,10 +24,10 @@ from companion.radios.decoder import RadioReading
 from companion.radios.fields import ONE_WAY_M_PER_S, FieldDecoder, number
 
 LTE_STEP_S = 16.0 / 30.72e6
-MOST_STEPS = 3846
+MAX_STEPS = 3846
 """Largest timing advance of a random access response, TS 38.213 4.2."""
 RESOLUTION_OF_PHY_LOG_M = 0.1e-6 * ONE_WAY_M_PER_S
-MOST_UES = 64
+MAX_UES = 64
 
 Numerology = Annotated[int, msgspec.Meta(ge=0, le=4)]
 Metres = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
@@ -38,7 +38,7 @@ class CellOptions(Params, frozen=True):
 
     multipath_sigma_m: Metres = 20.0
     """Sigma of the site's detours, in quadrature to the step's own; 10 to 50 m are usual."""
-    offset_steps: Annotated[float, msgspec.Meta(ge=-100.0, le=MOST_STEPS)] = 0.0
+    offset_steps: Annotated[float, msgspec.Meta(ge=-100.0, le=MAX_STEPS)] = 0.0
     """Steps that the station reports of a phone next to its antenna: the delay of its radio."""
     name: Literal["rnti", "none"] = "rnti"
     """Name of the emitter: the station's number for the phone, which changes with each attach;
@@ -65,7 +65,7 @@ class SrsRanOptions(NrOptions, frozen=True):
     loop_is_off: bool = False
     """True if the station corrects no timing after the attach: `ta_cmd_offset_threshold` below 0.
     Otherwise `ta_ns` is only the remainder, and no range."""
-    applied_steps: Annotated[int, msgspec.Meta(ge=0, le=MOST_STEPS)] = 0
+    applied_steps: Annotated[int, msgspec.Meta(ge=0, le=MAX_STEPS)] = 0
     """The timing advance that the phone was given with the attach, in steps; `ta_ns` adds to it."""
 
 
@@ -88,7 +88,7 @@ class _Cell(FieldDecoder):
 
     def of_steps(self, steps: int, step_m: float, rnti: int | None = None) -> list[RadioReading]:
         """Return the middle of the step, because the station rounds down."""
-        if not 0 <= steps <= MOST_STEPS:
+        if not 0 <= steps <= MAX_STEPS:
             return self.refused("timing advance is out of bounds")
         return self.understood(self.reading((steps + 0.5) * step_m, step_m, rnti))
 
@@ -162,7 +162,7 @@ class SrsRanDecoder(_Cell):
         readings = []
         for rnti, seconds in self._PREAMBLE.findall(line):
             value = number(seconds)
-            if value is None or not 0.0 <= value <= MOST_STEPS * LTE_STEP_S:
+            if value is None or not 0.0 <= value <= MAX_STEPS * LTE_STEP_S:
                 return self.refused("timing advance is out of bounds")
             range_m = value * ONE_WAY_M_PER_S
             readings.append(self.reading(range_m, self._step_m, int(rnti, 16)))
@@ -182,7 +182,7 @@ class SrsRanDecoder(_Cell):
                 reading = self._ue(ue, time_s)
                 if reading is not None:
                     readings.append(reading)
-        return readings[:MOST_UES]
+        return readings[:MAX_UES]
 
     def _ue(self, ue: object, time_s: float | None) -> RadioReading | None:
         if not isinstance(ue, dict):
@@ -194,7 +194,7 @@ class SrsRanDecoder(_Cell):
         if not self.options.loop_is_off:
             self.counts.refuse("residual: the station corrects the timing (loop_is_off)")
             return None
-        if abs(residual_ns) > MOST_STEPS * LTE_STEP_S * 1e9 or rnti is None or rnti % 1.0:
+        if abs(residual_ns) > MAX_STEPS * LTE_STEP_S * 1e9 or rnti is None or rnti % 1.0:
             self.counts.refuse("timing advance is out of bounds")
             return None
         range_m = residual_ns * 1e-9 * ONE_WAY_M_PER_S + self.options.applied_steps * self._step_m
@@ -264,14 +264,14 @@ class OaiDecoder(_Cell):
         if self._numerology is None:
             return self.refused("numerology is unknown: set it, 0 for 15 kHz, 1 for 30 kHz")
         steps = int(found[1])
-        if self._has_distances is None and self._first_steps is None and steps <= MOST_STEPS:
+        if self._has_distances is None and self._first_steps is None and steps <= MAX_STEPS:
             self._first_steps = steps
             return self.refused("first attach waits for its answer")
         self._has_distances = False
         return self.of_steps(steps, step_m(self._numerology))
 
     def _answer(self, steps: int, distance_m: float) -> list[RadioReading]:
-        if steps > MOST_STEPS:
+        if steps > MAX_STEPS:
             return self.refused("timing advance is out of bounds")
         if steps:
             ratio = distance_m / (steps * step_m())

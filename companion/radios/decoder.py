@@ -34,11 +34,11 @@ import msgspec
 from companion.domain import Params
 from companion.errors import ConfigError
 
-MOST_KEPT_BYTES = 65_536
+MAX_KEPT_BYTES = 65_536
 """Maximum number of bytes of a stream that a decoder keeps between two calls."""
-MOST_SHOWN = 80
+MAX_SHOWN = 80
 """Characters of a line that is shown."""
-MOST_REASONS = 32
+MAX_REASONS = 32
 """Number of reasons counted separately; further ones count as `other`."""
 POWER_ONLY = "received power only: rssi, lora_gateway and uavrt read it (docs/radios.md)"
 _POWER = re.compile(
@@ -125,13 +125,13 @@ class DecoderCounts:
             self.refuse(POWER_ONLY)
         elif line.strip():
             self.unrecognised += 1
-            shown = line.strip()[:MOST_SHOWN]
+            shown = line.strip()[:MAX_SHOWN]
             shown = "".join(char if char.isprintable() else "?" for char in shown)
             self.first_unrecognised = self.first_unrecognised or shown
 
     def refuse(self, reason: str, count: int = 1) -> None:
         """Count an unusable frame. The reason must not hold bytes of the stream."""
-        if reason not in self.refused and len(self.refused) >= MOST_REASONS:
+        if reason not in self.refused and len(self.refused) >= MAX_REASONS:
             reason = "other"
         self.refused[reason] += count
 

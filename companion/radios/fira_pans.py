@@ -59,7 +59,7 @@ def range_of(centimetres: int, status: int) -> float | None:
 PACKET_HEADER = 4
 LAST_PACKET, MORE_FOLLOWS = 0x62, 0x72
 """First byte of SESSION_INFO notifications, without and with a continuation packet."""
-MOST_PACKETS = 32
+MAX_PACKETS = 32
 SESSION_INFO = Struct("<IIBIBBB8xB")
 """Sequence, session, reserved, interval, type, reserved, address mode, number of measurements."""
 KIND_AT, ADDRESS_AT = 13, 15
@@ -114,7 +114,7 @@ class FiraUciDecoder(FiraDecoder):
     def size_at(self, data: bytes, at: int) -> int | None:
         """Return the size of all packets of a notification; 0: not one; None: incomplete."""
         end = at
-        for _ in range(MOST_PACKETS):
+        for _ in range(MAX_PACKETS):
             if len(data) < end + PACKET_HEADER:
                 return None
             first, opcode, reserved, length = data[end : end + PACKET_HEADER]
@@ -281,7 +281,7 @@ POSITION_TAG, POSITION_VALUE_BYTES = 0x41, 13
 ANCHORS_TAG, TAGS_TAG = 0x49, 0x48
 RECORDS = {ANCHORS_TAG: Struct("<HIB12xB"), TAGS_TAG: Struct("<QIB")}
 """Address, millimetres, quality; of an anchor its position, and that one's quality."""
-MOST_QUALITY = 100
+MAX_QUALITY = 100
 
 
 class PansTlvDecoder(FrameDecoder):
@@ -327,14 +327,14 @@ class PansTlvDecoder(FrameDecoder):
             return []
         digits = 4 if frame[at] == ANCHORS_TAG else 16
         records = list(RECORDS[frame[at]].iter_unpack(frame[at + 3 :]))
-        if any(max(qualities) > MOST_QUALITY for _, _, *qualities in records):
+        if any(max(qualities) > MAX_QUALITY for _, _, *qualities in records):
             return None
         self._last = frame
         return [
             RadioReading(
                 emitter=f"{address:0{digits}X}",
                 range_m=distance_mm / 1000.0,
-                quality=quality / MOST_QUALITY,
+                quality=quality / MAX_QUALITY,
             )
             for address, distance_mm, quality, *_ in records
         ]

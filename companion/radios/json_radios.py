@@ -206,9 +206,9 @@ def _decoded(payload: object) -> bytes:
         return b""
 
 
-MOST_BEARING_RAD = 2.0 * math.pi + 1e-6
-MOST_ELEVATION_RAD = 0.5 * math.pi + 1e-6
-MOST_SIGMA_RAD = math.pi / math.sqrt(3.0) + 1e-6
+MAX_BEARING_RAD = 2.0 * math.pi + 1e-6
+MAX_ELEVATION_RAD = 0.5 * math.pi + 1e-6
+MAX_SIGMA_RAD = math.pi / math.sqrt(3.0) + 1e-6
 """Standard deviation of an angle that may be anywhere on the circle."""
 UNITS = re.compile(
     r'"(?:\w{0,20}units?|units?_\w{0,20}|uom)"\s*:\s*(?:"(?!(?:m|rad|us|dBm)?")|\{)', re.IGNORECASE
@@ -328,7 +328,7 @@ class NdjsonDecoder(LineDecoder):
             what = "no range, bearing, elevation or power"
             return f"{what}: a power is power_dbm" if is_power_only(text) else what
         names = ("bearing", "elevation", "bearing_std", "elevation_std")
-        bounds = (MOST_BEARING_RAD, MOST_ELEVATION_RAD, MOST_SIGMA_RAD, MOST_SIGMA_RAD)
+        bounds = (MAX_BEARING_RAD, MAX_ELEVATION_RAD, MAX_SIGMA_RAD, MAX_SIGMA_RAD)
         for name, most_rad in zip(names, bounds, strict=True):
             if abs(getattr(line, name) or 0.0) > most_rad:
                 self._beyond_turn += 1

@@ -36,9 +36,9 @@ AWAY_MS = 10_000.0
 """Time after which a frequency that is missing while another is heard counts as not tuned."""
 STILL_S = 5.0
 """Time without a change after which a page is reported; it is read more often than it changes."""
-LEAST_HZ = 1e6
+MIN_HZ = 1e6
 """Lowest plausible frequency: receivers begin at 24 MHz, so a smaller number has another unit."""
-MOST_CHANNELS = 64
+MAX_CHANNELS = 64
 OVERDRIVEN = {"1", "true"}
 HEADINGS = {"GPS", "Compass"}
 """Sources of the heading; `Compass` since the suite of 2026."""
@@ -115,7 +115,7 @@ class _Channels:
         channel = self._next(self._seen.pop(name, None), time_ms, now_s)
         channel.checksum = result.checksum
         self._seen[name] = channel
-        if len(self._seen) > MOST_CHANNELS:
+        if len(self._seen) > MAX_CHANNELS:
             del self._seen[next(iter(self._seen))]
         return "just tuned to this frequency" if time_ms < channel.valid_from_ms else None
 
@@ -193,7 +193,7 @@ class KrakenDecoder(RadioDecoder):
             return "latency is out of bounds"
         if not 0.0 <= result.azimuth_deg <= 360.0:
             return "bearing is out of bounds"
-        if not LEAST_HZ < result.frequency_hz < 1e11:
+        if not MIN_HZ < result.frequency_hz < 1e11:
             return "frequency is out of bounds"
         tuned = self._channels.complain_of(result, now_s)
         if tuned is not None:

@@ -36,7 +36,7 @@ AUDIO_HEAD = struct.Struct("<IIfI")
 CHANNEL = struct.Struct("<IfIIfIf")
 """Id, offset in kHz, bandwidth, angles, radius, blocks, degrees an angle."""
 WORD, ELEVATION = struct.Struct("<I"), struct.Struct("<Ifi")
-LONGEST, LONGEST_LINE, MOST_CHANNELS, MOST_ANGLES = 60_000, 4096, 16, 3600
+LONGEST, LONGEST_LINE, MAX_CHANNELS, MAX_ANGLES = 60_000, 4096, 16, 3600
 BEST_RATIO = 3.0
 """Peak over mean of the spectrum, less 1, that the suite calls a confidence of 1."""
 
@@ -190,7 +190,7 @@ def _channels_of(body: bytes) -> list[tuple[float, float, tuple[float, ...]]] | 
     """Return offset in Hz, degrees per bin and spectrum of each; None if the frame is not full."""
     count = WORD.unpack_from(body, WORD.size)[0] if len(body) >= 2 * WORD.size else 0
     at, channels = 2 * WORD.size, []
-    if not 0 < count <= MOST_CHANNELS:
+    if not 0 < count <= MAX_CHANNELS:
         return None
     for _ in range(count):
         if at + CHANNEL.size > len(body):
@@ -198,7 +198,7 @@ def _channels_of(body: bytes) -> list[tuple[float, float, tuple[float, ...]]] | 
         _, offset_khz, _, angles, _, _, step_deg = CHANNEL.unpack_from(body, at)
         at += CHANNEL.size
         end = at + 4 * angles + WORD.size
-        if not 0 < angles <= MOST_ANGLES or end > len(body):
+        if not 0 < angles <= MAX_ANGLES or end > len(body):
             return None
         spectrum = struct.unpack_from(f"<{angles}f", body, at)
         at = end

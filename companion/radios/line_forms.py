@@ -244,7 +244,7 @@ class DopplerDecoder(FormDecoder):
         form(r"^C(?P<azimuth>[0-9]{4})(?P<magnitude>[0-9]{3})[0-9]{3}(?P<epoch>[0-9]{15})\s*$"),
         form(r"^[SBT][0-9]{10,}"),
     )
-    MOST_MAGNITUDE = 999.0
+    MAX_MAGNITUDE = 999.0
     TENTHS = 10.0
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
@@ -257,7 +257,7 @@ class DopplerDecoder(FormDecoder):
         return self.read_fields(
             {
                 "azimuth_deg": f"{azimuth / self.TENTHS:.1f}",
-                "quality": f"{magnitude / self.MOST_MAGNITUDE:.4f}",
+                "quality": f"{magnitude / self.MAX_MAGNITUDE:.4f}",
                 "time_ms": f"{epoch:.0f}.0",
             }
         )

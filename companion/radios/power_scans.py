@@ -30,7 +30,7 @@ where bytes were lost."""
 _BLOCK = f"(?P<block>{_MAC})"
 _NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,:]?[0-9])"
 _DBM = rf"(?P<power_dbm>{_NUMBER})"
-LEAST_DBM = -114.0
+MIN_DBM = -114.0
 """Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have an address;
 lower ones, -127 or -128, stand for no value."""
 NO_ADDRESS = "no address: set single_emitter=true if there is one emitter"
@@ -156,7 +156,7 @@ class PowerScanDecoder(FormDecoder):
         power_dbm = number(texts["power_dbm"])
         if power_dbm is not None and power_dbm >= 0.0:
             return self.refused("power is not negative: no dBm")
-        if power_dbm is not None and power_dbm < LEAST_DBM and texts["emitter"]:
+        if power_dbm is not None and power_dbm < MIN_DBM and texts["emitter"]:
             return self.refused("power is below the noise: nothing measured")
         emitter = texts["emitter"].lower().replace("-", ":")
         return self.read_fields({**texts, "emitter": emitter})
@@ -175,7 +175,7 @@ class UavrtDecoder(FrameDecoder):
     _PULSE = Struct("<12d")
     LONGEST_LINE = 400
     LARGEST_TAG, LARGEST_HZ, LARGEST_S = 2**32, 4e9, 2**33
-    MOST_DB = 200.0
+    MAX_DB = 200.0
     """Highest SNR that a receiver can have."""
     STATUSES, NO_DETECTION = (0.0, 1.0, 2.0, 3.0), 3.0
 
@@ -217,7 +217,7 @@ class UavrtDecoder(FrameDecoder):
         if not is_confirmed:
             self.counts.refuse("pulse is not confirmed")
             return []
-        if not abs(snr_db) <= self.MOST_DB:
+        if not abs(snr_db) <= self.MAX_DB:
             self.counts.refuse("no SNR")
             return []
         return [RadioReading(tag, device_time_s=start_s, power_dbm=snr_db)]

@@ -16,9 +16,9 @@ import msgspec
 from companion.radios.decoder import AngleFrame, RadioReading
 from companion.radios.fields import FieldDecoder, dbm, is_overflow, number
 
-MOST_RECORD_BYTES = 8192
+MAX_RECORD_BYTES = 8192
 PER_M = 100.0
-MOST_ANGLE_DEG = 90.0
+MAX_ANGLE_DEG = 90.0
 
 RECORD = "SESSION_INFO_NTF:"
 ANY_RECORD = "SESSION_"
@@ -64,7 +64,7 @@ BLOCKS = msgspec.json.Decoder(Block)
 class QorvoCliDecoder(FieldDecoder):
     """Decoder of SESSION_INFO_NTF records, of two or more lines each, and of older JSON blocks."""
 
-    longest_line = MOST_RECORD_BYTES
+    longest_line = MAX_RECORD_BYTES
 
     def begin(self) -> None:
         """Begin without a partial record."""
@@ -86,7 +86,7 @@ class QorvoCliDecoder(FieldDecoder):
         elif is_new or not self._record:
             return readings + self.passed_over(line)
         self._record += line
-        if "}" in line or len(self._record) > MOST_RECORD_BYTES:
+        if "}" in line or len(self._record) > MAX_RECORD_BYTES:
             readings += self._ended()
         return readings
 
@@ -111,7 +111,7 @@ class QorvoCliDecoder(FieldDecoder):
 
     def _ended(self) -> list[RadioReading]:
         """Return the complete measurements of the record."""
-        record, self._record = self._record[:MOST_RECORD_BYTES], ""
+        record, self._record = self._record[:MAX_RECORD_BYTES], ""
         self.counts.frames += 1
         readings = (self._reading_of(found[1]) for found in MEASUREMENT.finditer(record))
         return self.distinct([reading for reading in readings if reading is not None])
@@ -151,7 +151,7 @@ class QorvoCliDecoder(FieldDecoder):
         if is_overflow(distance_cm or 0.0):
             self.counts.refuse("distance with all bits set: nothing measured")
             return None
-        if max(abs(azimuth_deg or 0.0), abs(elevation_deg or 0.0)) > MOST_ANGLE_DEG:
+        if max(abs(azimuth_deg or 0.0), abs(elevation_deg or 0.0)) > MAX_ANGLE_DEG:
             self.counts.refuse("angle is out of bounds")
             return None
         return RadioReading(

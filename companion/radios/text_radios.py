@@ -153,7 +153,7 @@ class UudfDecoder(FieldDecoder):
     Options = UudfOptions
     options: UudfOptions
     _EVENT = re.compile(r"\+UUDF:(.*)")
-    FEWEST_FIELDS, MOST_FIELDS = 9, 10
+    MIN_FIELDS, MAX_FIELDS = 9, 10
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading of an event; the board's milliseconds restart at `+STARTUP`."""
@@ -161,7 +161,7 @@ class UudfDecoder(FieldDecoder):
         if not found:
             return self.passed_over(line)
         cells = columns(found[1])
-        if not self.FEWEST_FIELDS <= len(cells) <= self.MOST_FIELDS:
+        if not self.MIN_FIELDS <= len(cells) <= self.MAX_FIELDS:
             return self.refused("torn event")
         azimuth_deg, elevation_deg, milliseconds = map(number, (cells[2], cells[3], cells[8]))
         is_tag = re.fullmatch(r"[0-9A-Fa-f]{12}", cells[0])

@@ -193,7 +193,7 @@ def square_around(points: Iterable[Point], margin: float) -> tuple[float, float,
 MAP_SIZE = 640.0
 CHART_SIZE = (560.0, 220.0)
 BINS = 50
-LEAST_SPAN = 1e-3
+MIN_SPAN = 1e-3
 """Minimum span of the axis of a histogram whose values are all the same."""
 ELLIPSES = 8
 """Number of ellipses drawn of each emitter, evenly over the flight; the newer, the stronger."""
@@ -362,8 +362,8 @@ def histogram(
         return None
     ordered, beyond = sorted(values), int(TRIMMED_SHARE * len(values))
     low, high = ordered[beyond], ordered[-1 - beyond]
-    if high - low < LEAST_SPAN:
-        low, high = low - 0.5 * LEAST_SPAN, high + 0.5 * LEAST_SPAN
+    if high - low < MIN_SPAN:
+        low, high = low - 0.5 * MIN_SPAN, high + 0.5 * MIN_SPAN
     width = (high - low) / BINS
     edges = [low + width * number for number in range(BINS + 1)]
     counts = [0] * BINS
@@ -388,11 +388,11 @@ def histogram(
     return Chart(title, note, Markup(drawing.svg()))
 
 
-MOST_TILES = 24
+MAX_TILES = 24
 """Maximum number of tiles of a page; at about 20 kB each, as much as the rest of a long report."""
 KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
 """Magic numbers of image formats; file names are ignored."""
-MOST_BYTES = 2_000_000
+MAX_BYTES = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,7 +416,7 @@ def pictures_of(
     last = origin.geodetic_from_enu((east, south, 0.0))[:2]
     for zoom in range(zooms[1], zooms[0] - 1, -1):
         (left, top), (right, bottom) = tile_at(first, zoom), tile_at(last, zoom)
-        if (right - left + 1) * (bottom - top + 1) > MOST_TILES:
+        if (right - left + 1) * (bottom - top + 1) > MAX_TILES:
             continue
         found = [
             _picture(folder, origin, x, y, zoom)
@@ -432,7 +432,7 @@ def _picture(folder: Path, origin: LocalOrigin, x: int, y: int, zoom: int) -> Pi
     path = folder / str(zoom) / str(x) / f"{y}.png"
     try:
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES)
+            data = file.read(MAX_BYTES)
     except OSError:
         return None
     kind = next((kind for head, kind in KINDS.items() if data.startswith(head)), None)

@@ -38,7 +38,7 @@ Metres = Annotated[float, msgspec.Meta(ge=-4e7, le=4e7)]
 Scale = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
 EastNorth = tuple[Metres, Metres]
 Polygons = tuple[list[EastNorth], list[list[EastNorth]]]
-LEAST_CORNERS = 3
+MIN_CORNERS = 3
 GUARD_WORDS = {reason.name.lower(): reason.value for reason in GuardReason}
 
 
@@ -93,7 +93,7 @@ class _OriginLine(msgspec.Struct):
 
 
 class _FenceLine(msgspec.Struct):
-    polygon_enu_m: Annotated[list[EastNorth], msgspec.Meta(min_length=LEAST_CORNERS)]
+    polygon_enu_m: Annotated[list[EastNorth], msgspec.Meta(min_length=MIN_CORNERS)]
     keep_out_enu_m: list[list[EastNorth]] = []
 
 
@@ -181,7 +181,7 @@ def _take_line(summary: FlightSummary, kind: str, line: Line) -> None:
             names = _read(line.get("reasons"), list[str]) or []
             summary.guard.update(GUARD_WORDS.get(name, name) for name in names)
         case "fence" if (fence := _read(line, _FenceLine)) is not None:
-            keep_outs = [area for area in fence.keep_out_enu_m if len(area) >= LEAST_CORNERS]
+            keep_outs = [area for area in fence.keep_out_enu_m if len(area) >= MIN_CORNERS]
             summary.fence = (fence.polygon_enu_m, keep_outs)
         case "link":
             summary.links.append(line)

@@ -52,7 +52,7 @@ from companion.report.flight_summary import (
 )
 from companion.web.settings import check_tiles
 
-LEAST_M = 1e-3
+MIN_M = 1e-3
 """Smallest value of a logarithmic axis, which has no zero."""
 MAX_EVENTS = 500
 """Rows of the table of events; the event log has all."""
@@ -298,7 +298,7 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
     )
     over_time = TimeCharts(summary.ended_s)
     points = summary.estimates
-    radii = [(p.time_s, max(p.r95_m, LEAST_M)) for p in points]
+    radii = [(p.time_s, max(p.r95_m, MIN_M)) for p in points]
     offsets = _known((p.time_s, p.range_offset_m) for p in points)
     residuals = _known((p.time_s, p.range_innovation_m) for p in points)
     metres = "metres over seconds"

@@ -30,7 +30,7 @@ from companion.search.search_grid import Floats, are_inside
 
 SHARED_VARIANCE = 0.5
 """Share of the variance of shadowing that is common to all cells, about the emitter; see above."""
-MOST_WALL_EDGES = 200
+MAX_WALL_EDGES = 200
 
 
 class Wall(Params, frozen=True):
@@ -100,8 +100,8 @@ class DetectionParams(Params, frozen=True):
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for more walls than an update has time for."""
-        if sum(len(wall.corners_enu_m) for wall in self.walls) > MOST_WALL_EDGES:
-            raise ValueError(f"walls have more than {MOST_WALL_EDGES} corners in all")
+        if sum(len(wall.corners_enu_m) for wall in self.walls) > MAX_WALL_EDGES:
+            raise ValueError(f"walls have more than {MAX_WALL_EDGES} corners in all")
 
     def model(self, preset_m: float | None) -> DetectionModel | None:
         """Return the link with its reach, or with the preset's; None if neither is known."""
@@ -190,7 +190,7 @@ def _cross(starts: Floats, ends: Floats, a: Floats, b: Floats) -> NDArray[np.boo
 
 NODE_SIGMAS = 0.25
 """Step of the quadrature over a cell's offset, in its own standard deviations."""
-MOST_SIGMAS = 3.0
+MAX_SIGMAS = 3.0
 
 
 def _normal_weights(sigmas: Floats) -> Floats:
@@ -199,7 +199,7 @@ def _normal_weights(sigmas: Floats) -> Floats:
     return weights
 
 
-_HALF = round(MOST_SIGMAS / NODE_SIGMAS)
+_HALF = round(MAX_SIGMAS / NODE_SIGMAS)
 NODES: Floats = NODE_SIGMAS * np.arange(-_HALF, _HALF + 1, dtype=float)
 """Offsets of a cell, in its own standard deviations; the same for all models."""
 NODE_WEIGHTS = _normal_weights(NODES)
@@ -208,7 +208,7 @@ MARGIN_STEPS = 16
 FADING_DB = 25.0
 """Largest modelled fading: hardly any answer exceeds its median by half as much, and 0.2 % of
 Rayleigh fading lies so far below it."""
-LEAST_LOG = -60.0
+MIN_LOG = -60.0
 """Log probability of a miss below which detection is certain."""
 
 
@@ -222,7 +222,7 @@ class MissTable:
     def __init__(self, model: DetectionModel) -> None:
         self.step_db = NODE_SIGMAS * model.cell_sigma_db
         half = _HALF
-        path_half = math.ceil(MOST_SIGMAS * model.path_sigma_db / self.step_db)
+        path_half = math.ceil(MAX_SIGMAS * model.path_sigma_db / self.step_db)
         path_db: Floats = self.step_db * np.arange(-path_half, path_half + 1, dtype=float)
         self.path_weights = _normal_weights(path_db / max(model.path_sigma_db, self.step_db))
         self._half = half + path_half
@@ -234,7 +234,7 @@ class MissTable:
         fine = np.arange(count + MARGIN_STEPS * (offsets - 1)) - MARGIN_STEPS * self._half
         margins_db = np.clip(self._least_db + self._fine_db * fine, -farthest_db, farthest_db)
         missed = 1.0 - model.duty_cycle * received_share(margins_db, model.propagation.rice_k_db)
-        log_missed = np.log(np.maximum(missed, math.exp(LEAST_LOG)))
+        log_missed = np.log(np.maximum(missed, math.exp(MIN_LOG)))
         windows = np.arange(count)[:, None] + MARGIN_STEPS * np.arange(offsets)
         self.rows = log_missed[windows].astype(np.float32)
         """Table by margin and offset, (margins, offsets)."""

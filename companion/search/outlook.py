@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from companion.geometry.obstacles import between
 from companion.geometry.polygons import Point
 from companion.search.detection_model import (
-    LEAST_LOG,
-    MOST_SIGMAS,
+    MAX_SIGMAS,
+    MIN_LOG,
     NODE_WEIGHTS,
     NODES,
     DetectionModel,
@@ -35,7 +35,7 @@ from companion.search.detection_model import (
 from companion.search.search_grid import Bools, Floats, SearchGrid
 from companion.search.searched_area import GROUP_SIGMAS, GROUPS, SearchedArea, Square
 
-MOST_CELLS = 2500
+MAX_CELLS = 2500
 """Limit of cells of a forecast: 50 by 50, each far smaller than the area that a leg changes."""
 UPFADE_DB = 10.0
 """Rayleigh fading exceeds its median by so much in 0.1 % of all answers."""
@@ -53,7 +53,7 @@ class LegTable:
         n = model.propagation.exponent
         side_m = model.propagation.correlation_m
         offsets_db = GROUP_SIGMAS * model.cell_sigma_db
-        best_db = float(offsets_db[-1]) + MOST_SIGMAS * model.path_sigma_db + UPFADE_DB
+        best_db = float(offsets_db[-1]) + MAX_SIGMAS * model.path_sigma_db + UPFADE_DB
         farthest_m = model.reach_m * 10.0 ** (best_db / (10.0 * n))
         self.speed_mps = speed_mps
         self.side_m = side_m
@@ -102,7 +102,7 @@ def _square_log_miss(model: DetectionModel, answers: float) -> Floats:
     mean = np.zeros(len(LEVELS_DB))
     for sigma, weight in zip(NODES, NODE_WEIGHTS, strict=True):
         mean += weight * np.interp(LEVELS_DB + sigma * model.path_sigma_db, LEVELS_DB, missed)
-    logs: Floats = np.log(np.maximum(mean, math.exp(LEAST_LOG)))
+    logs: Floats = np.log(np.maximum(mean, math.exp(MIN_LOG)))
     return logs
 
 
@@ -182,8 +182,8 @@ def outlook_of(area: SearchedArea) -> Outlook:
 
 
 def _coarse(grid: SearchGrid, chance: Floats32) -> tuple[SearchGrid, Floats32]:
-    """Return blocks of cells, at most `MOST_CELLS`, with the sums of their chances."""
-    factor = math.ceil(math.sqrt(len(grid.poa) / MOST_CELLS))
+    """Return blocks of cells, at most `MAX_CELLS`, with the sums of their chances."""
+    factor = math.ceil(math.sqrt(len(grid.poa) / MAX_CELLS))
     rows, columns = (math.ceil(count / factor) for count in grid.inside.shape)
     row, column = np.nonzero(grid.inside)
     block = (row // factor) * columns + column // factor

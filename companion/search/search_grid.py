@@ -21,11 +21,11 @@ from companion.geometry.polygons import Corners, Point, Polygon, area_m2
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-MOST_CELLS = 40_000
+MAX_CELLS = 40_000
 """Maximum number of cells, 16 km^2 in cells of 20 m; an update takes about 10 ms of one core."""
-LEAST_M2 = 1.0
+MIN_M2 = 1.0
 """Smallest area of a polygon, as for a fence."""
-LEAST_ACROSS = 10
+MIN_CELLS_ACROSS = 10
 """Minimum number of cells across the shorter side of a small area, so that a gap has a shape."""
 
 
@@ -66,7 +66,7 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     """Return the grid over all areas, with their weights spread evenly over each.
 
     An area that contains no centre of a cell has its weight in the nearest one. Cells grow beyond
-    `cell_m` for at most `MOST_CELLS`, and shrink in a small area. `ValueError`: no weight, or no
+    `cell_m` for at most `MAX_CELLS`, and shrink in a small area. `ValueError`: no weight, or no
     area.
     """
     corners = np.array([corner for area in areas for corner in area.corners_enu_m], dtype=float)
@@ -76,9 +76,9 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
     width_m, height_m = corners.max(axis=0) - (west_m, south_m)
     if not min(width_m, height_m) > 0.0:
         raise ValueError("the search area encloses nothing")
-    cell_m = min(cell_m, min(width_m, height_m) / LEAST_ACROSS)
-    if math.ceil(width_m / cell_m) * math.ceil(height_m / cell_m) > MOST_CELLS:
-        half_m, most = 0.5 * (width_m + height_m), MOST_CELLS - 1
+    cell_m = min(cell_m, min(width_m, height_m) / MIN_CELLS_ACROSS)
+    if math.ceil(width_m / cell_m) * math.ceil(height_m / cell_m) > MAX_CELLS:
+        half_m, most = 0.5 * (width_m + height_m), MAX_CELLS - 1
         cell_m = (half_m + math.sqrt(half_m**2 + most * width_m * height_m)) / most
     columns, rows = max(1, math.ceil(width_m / cell_m)), max(1, math.ceil(height_m / cell_m))
     everywhere = np.ones((rows, columns), dtype=bool)
@@ -89,7 +89,7 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
         within = _within(area, centres)
         if not within.any():
             holes_m2 = sum(area_m2(hole) for hole in area.holes_enu_m)
-            if area_m2(area.corners_enu_m) - holes_m2 < LEAST_M2:
+            if area_m2(area.corners_enu_m) - holes_m2 < MIN_M2:
                 raise ValueError("a polygon of the search area encloses nothing")
             middle = np.mean(area.corners_enu_m, axis=0)
             within[np.hypot(*(centres - middle).T).argmin()] = True
@@ -103,10 +103,10 @@ def grid_over(areas: Sequence[WeightedArea], cell_m: float) -> SearchGrid:
 def grid_of_weights(west_m: float, south_m: float, cell_m: float, weights: Floats) -> SearchGrid:
     """Return the grid of weights (rows, columns), rows counted from the south-west corner.
 
-    Missing or infinite ones are outside. `ValueError`: no weight, or more than `MOST_CELLS` cells.
+    Missing or infinite ones are outside. `ValueError`: no weight, or more than `MAX_CELLS` cells.
     """
-    if weights.size > MOST_CELLS:
-        raise ValueError(f"{weights.size} cells; at most {MOST_CELLS}: make cells larger")
+    if weights.size > MAX_CELLS:
+        raise ValueError(f"{weights.size} cells; at most {MAX_CELLS}: make cells larger")
     inside = np.isfinite(weights) & (weights > 0.0)
     if not inside.any():
         raise ValueError("no cell of the search area has a weight above 0")
@@ -143,7 +143,7 @@ def are_inside(polygon: Polygon, points: Floats) -> Bools:
 
 
 LatLon = tuple[float, float]
-MOST_AWAY_KM = 20.0
+MAX_DISTANCE_KM = 20.0
 """Longest distance of a site from the vehicle's origin; a farther file is of another site."""
 
 
@@ -206,11 +206,11 @@ def _of_site(site: SearchSite, origin: LocalOrigin, cell_m: float) -> SearchGrid
 def _local(corners_deg: tuple[LatLon, ...], origin: LocalOrigin) -> Corners:
     corners = tuple(origin.enu_from_geodetic(*each, origin.altitude_m)[:2] for each in corners_deg)
     away_km = _most_km(corners)
-    if away_km <= MOST_AWAY_KM:
+    if away_km <= MAX_DISTANCE_KM:
         return corners
     swapped = (origin.enu_from_geodetic(lon, lat, origin.altitude_m) for lat, lon in corners_deg)
     hint = ""
-    if _most_km(tuple(each[:2] for each in swapped)) <= MOST_AWAY_KM:
+    if _most_km(tuple(each[:2] for each in swapped)) <= MAX_DISTANCE_KM:
         hint = "; latitude and longitude are swapped: longitude comes first"
     raise ValueError(f"a corner is {away_km:.0f} km from the vehicle's origin{hint}")
 

@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 from companion.domain import PositionEnu
 from companion.geometry.polygons import Point
 from companion.search.detection_model import (
-    LEAST_LOG,
+    MIN_LOG,
     NODE_WEIGHTS,
     NODES,
     DetectionModel,
@@ -213,7 +213,7 @@ class SearchedArea:
         elif piece.position_m is not None:
             index = self.table.index_of(self.model.margin_db(self._centres, piece.position_m))
             self._here += np.float32(piece.answers) * self.table.rows[index]
-            np.maximum(self._here, np.float32(LEAST_LOG), out=self._here)
+            np.maximum(self._here, np.float32(MIN_LOG), out=self._here)
         elif piece.is_return:
             self._left -= self._counted()
             self._looks[piece.square].is_counted = False
@@ -274,7 +274,7 @@ class SearchedArea:
     def _counted(self, block: slice = ALL_CELLS) -> Floats32:
         """Return the log probability of a miss in the current square, (cells, nodes)."""
         missed = np.exp(self._here[block]) @ self._spread
-        counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(LEAST_LOG))))
+        counted: Floats32 = np.log(np.maximum(missed, np.float32(math.exp(MIN_LOG))))
         return counted
 
     def log_missed(self, block: slice = ALL_CELLS) -> Floats32:
@@ -342,7 +342,7 @@ def _key_of(position_m: PositionEnu, spacing_m: float) -> tuple[int, int, int]:
     )
 
 
-LEAST_ODDS = 0.1
+MIN_ODDS = 0.1
 """Minimum odds of a position to the likeliest one: two such positions are still ambiguous, as the
 estimate counts it (a second position of 5 % or more)."""
 
@@ -362,7 +362,7 @@ class SearchPrior:
         """Return the prior that a search leaves."""
         left = state.grid.poa * (1.0 - state.pod)
         density = state.grid.on_map(left, float(left.mean()))
-        return cls(state.grid, np.log(np.maximum(density / density.max(), LEAST_ODDS)))
+        return cls(state.grid, np.log(np.maximum(density / density.max(), MIN_ODDS)))
 
     def log_at(self, position_enu_m: Point) -> float:
         """Return the log of the odds of a position to the likeliest one.

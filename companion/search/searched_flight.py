@@ -116,9 +116,9 @@ def _in_metres(grid: SearchGrid, ring: list[Node]) -> tuple[Point, ...]:
 
 GAP_POD = 0.5
 """POD below which a cell belongs to a gap: the emitter is more likely missed than heard."""
-LEAST_GAP_SHARE = 0.02
+MIN_GAP_SHARE = 0.02
 """Minimum share of the probability; smaller gaps are not reported."""
-MOST_GAPS = 3
+MAX_GAPS = 3
 COMPASS = ("E", "NE", "N", "NW", "W", "SW", "S", "SE")
 
 
@@ -141,8 +141,8 @@ def gaps_of(state: SearchState) -> list[Gap]:
         Gap(sector_name(grid, cells), float(cells.mean()), float(grid.poa[cells].sum()), cells)
         for cells in pieces_of(grid, state.pod < GAP_POD)
     ]
-    worthy = [gap for gap in found if gap.poa >= LEAST_GAP_SHARE]
-    return sorted(worthy, key=lambda gap: -gap.poa)[:MOST_GAPS]
+    worthy = [gap for gap in found if gap.poa >= MIN_GAP_SHARE]
+    return sorted(worthy, key=lambda gap: -gap.poa)[:MAX_GAPS]
 
 
 def pieces_of(grid: SearchGrid, wanted: Bools) -> Iterator[Bools]:

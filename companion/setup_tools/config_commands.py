@@ -216,11 +216,11 @@ def _say(text: str) -> None:
     sys.stdout.write(f"{text}\n" if text else "")
 
 
-MOST_TILES = 20_000
+MAX_TILES = 20_000
 """Maximum number of tiles of one fetch; more is a burden to a server that others pay for."""
 PAUSE_S = 0.05
 TIMEOUT_S = 20.0
-MOST_BYTES = 2_000_000
+MAX_BYTES = 2_000_000
 """Maximum number of bytes of one tile."""
 METRES_PER_DEGREE = 111_319.5
 SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
@@ -274,9 +274,9 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
     for zoom in range(least, most + 1):
         left, top = tile_at((latitude_deg + north_deg, longitude_deg - east_deg), zoom)
         right, bottom = tile_at((latitude_deg - north_deg, longitude_deg + east_deg), zoom)
-        if len(wanted) + (right - left + 1) * (bottom - top + 1) > MOST_TILES:
+        if len(wanted) + (right - left + 1) * (bottom - top + 1) > MAX_TILES:
             raise ConfigError(
-                f"--zoom {zooms}: more than {MOST_TILES} tiles; choose a smaller --radius or zoom"
+                f"--zoom {zooms}: more than {MAX_TILES} tiles; choose a smaller --radius or zoom"
             )
         wanted += [(zoom, x, y) for x in range(left, right + 1) for y in range(top, bottom + 1)]
     return wanted
@@ -290,16 +290,14 @@ def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
         try:
             request = urllib.request.Request(address, headers=agent)
             with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-                picture = answer.read(MOST_BYTES + 1)
+                picture = answer.read(MAX_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
             raise CompanionError(
                 f"{address}: {reason}; tiles so far are kept; run it again to continue"
             ) from error
-        if len(picture) > MOST_BYTES:
-            raise CompanionError(
-                f"{address}: more than {MOST_BYTES} bytes, which is not a map tile"
-            )
+        if len(picture) > MAX_BYTES:
+            raise CompanionError(f"{address}: more than {MAX_BYTES} bytes, which is not a map tile")
         yield Tile(zoom, x, y, picture)
         time.sleep(PAUSE_S)
 

@@ -24,8 +24,8 @@ import numpy as np
 
 from companion.domain import Params
 from companion.radios.decoder import (
-    MOST_KEPT_BYTES,
-    MOST_REASONS,
+    MAX_KEPT_BYTES,
+    MAX_REASONS,
     RadioDecoder,
     RadioKind,
     RadioReading,
@@ -34,7 +34,7 @@ from companion.radios.decoder import (
 NOISE_BYTES = 1_000_000
 TORN_BYTES = 200_000
 """Bytes of torn pieces: they contain much to decode."""
-MOST_NOISE_S = 1.0
+MAX_NOISE_S = 1.0
 """Longest processor time for each kind of noise."""
 PIECE_BYTES = 4096
 SETTLED_BYTES = 8192
@@ -180,7 +180,7 @@ class _Trial:
             if complaint is not None:
                 raise ContractError(f"{what}: {complaint}")
             readings += found
-        if len(decoder.counts.refused) > MOST_REASONS + 1:
+        if len(decoder.counts.refused) > MAX_REASONS + 1:
             raise ContractError(f"{what}: refused by too many reasons; use counts.refuse")
         return readings
 
@@ -236,9 +236,9 @@ class _Trial:
             spent_s = time.process_time() - begun_s
             kept = kept_bytes(decoder) - empty
             slowest_s, most = max(slowest_s, spent_s), max(most, kept)
-            if spent_s > MOST_NOISE_S:
+            if spent_s > MAX_NOISE_S:
                 raise ContractError(f"{len(noise)} bytes of {what} take {spent_s:.1f} s")
-            if kept > MOST_KEPT_BYTES:
+            if kept > MAX_KEPT_BYTES:
                 raise ContractError(f"{kept} bytes are kept of {what}")
             decoder.reset()
             self._again(f"after {what}", self.feed(f"after {what}", self.stream, decoder=decoder))

@@ -28,7 +28,7 @@ log = logging.getLogger("companion.view")
 
 LOOK_S = 0.25
 """Time between two checks for due events."""
-LEAST_S = 1.0
+MIN_S = 1.0
 """Shortest time between two events of an emitter."""
 AGAIN_S = STALE_AFTER_S / 10.0
 """Time after which an unchanged event is sent again."""
@@ -64,7 +64,7 @@ class CotRule:
         if last is not None:
             sent_s, before = last
             since_s = now_s - sent_s
-            if since_s < LEAST_S or (since_s < AGAIN_S and not _has_changed(before, estimate)):
+            if since_s < MIN_S or (since_s < AGAIN_S and not _has_changed(before, estimate)):
                 return False
         self._sent[emitter.emitter_id] = (now_s, estimate)
         return True

@@ -74,7 +74,7 @@ class HistoryReader:
         return HistoryPart(history.items[first:], is_whole)
 
 
-MOST_CORNERS = 2000
+MAX_CORNERS = 2000
 TOLERANCE_M = 0.25
 """Tolerance of the track, half the step of positions in the event log: a finer line would follow
 their noise."""
@@ -84,7 +84,7 @@ class FlightTrack(History[Point]):
     """Corners of the flown line, so that no position is farther from it than the tolerance.
 
     Sleeve fitting: a corner is added when the next position cannot be reached from the last corner
-    by a line that passes all positions between within the tolerance. With more than `MOST_CORNERS`
+    by a line that passes all positions between within the tolerance. With more than `MAX_CORNERS`
     the tolerance doubles. Source: Zhao and Saalfeld, "Linear-time sleeve-fitting polyline
     simplification algorithms", Auto-Carto 13 (1997).
     """
@@ -130,7 +130,7 @@ class FlightTrack(History[Point]):
             return
         self.items.append(self._end)
         self._end = None
-        if len(self.items) > MOST_CORNERS:
+        if len(self.items) > MAX_CORNERS:
             corners = self.items
             self.clear()
             self._tolerance_m *= 2.0

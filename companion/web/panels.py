@@ -304,7 +304,7 @@ CURVES = (
     ("range_offset_m", "Range offset, m", "value"),
     ("nis", "NIS, expected: 95 % below 6", "value"),
 )
-LEAST_OF_GOAL = 0.1
+MIN_GOAL_SHARE = 0.1
 """Start of the logarithmic axis of R95, as a share of the goal."""
 REDRAW_EVERY = 4
 """Curves change slowly: redrawn with every fourth picture."""
@@ -319,7 +319,7 @@ class Charts:
         self._count = 0
         self._charts: dict[str, ui.echart] = {}
         goal_m = float(scene.get("stop_radius_m", 1.0))
-        self._least_m = LEAST_OF_GOAL * goal_m
+        self._least_m = MIN_GOAL_SHARE * goal_m
         with ui.row().classes("w-full gap-2"):
             for name, title, axis in CURVES:
                 options = _options(title, axis)

@@ -15,7 +15,7 @@ const ON_DARK = {
   reported: "#60a5fa", grid: "#64748b", gap: "#fdba74",
 };
 const RING_S = 6; // older rings are gone
-const MOST_OPAQUE = 0.65;
+const MAX_OPACITY = 0.65;
 const CLOSEST_M = 10; // half of the least that is shown when following
 const UNDER_WAY = ["normal", "degraded", "hold"]; // phases with a next waypoint
 const SITE = [[-50, -50], [50, 50]];
@@ -370,7 +370,7 @@ export default {
       const weight = mark.range_weight === null ? 1 : mark.range_weight;
       const style = weight > 0.9 ? { color: near, weight: 1.5 }
         : { color: far, weight: 1, dashArray: "3 5" };
-      style.opacity = MOST_OPAQUE * Math.min(1, freshness) * (0.4 + 0.6 * weight);
+      style.opacity = MAX_OPACITY * Math.min(1, freshness) * (0.4 + 0.6 * weight);
       if (mark.range_m !== null) {
         add(this.ring(mark.sensor_enu_m, mark.range_m, { ...style, className: "range" }));
       }

@@ -154,7 +154,7 @@ class Page:
 
 NICENESS = 19
 """Niceness of the pages: on a loaded computer the control tick comes first."""
-MOST_DATA_BYTES = 512 * 2**20
+MAX_DATA_BYTES = 512 * 2**20
 """Data that the page's process may allocate: half of the service's limit (MemoryMax)."""
 OOM_SCORE = b"500"
 """If memory runs out, the kernel ends the page before the flight, which restarts it."""
@@ -167,9 +167,9 @@ Send = Callable[[Any], Awaitable[None]]
 
 
 PAGE = "/"
-MOST_PAGES = 24
+MAX_PAGES = 24
 """Open browsers; each costs the page's process about 0.6 MB."""
-MOST_LOADING = 8
+MAX_LOADING = 8
 """Pages without a connected browser yet: the oldest is dropped."""
 FULL = "Too many browsers have this page open: close one of them."
 HEADERS = {
@@ -217,7 +217,7 @@ class AccessGate:
         token = QueryParams(scope["query_string"]).get("token")
         if not self._access.may_view("" if client is None else client[0], token):
             return PlainTextResponse(REFUSED, 403)
-        return PlainTextResponse(FULL, 503) if len(Client.instances) >= MOST_PAGES else None
+        return PlainTextResponse(FULL, 503) if len(Client.instances) >= MAX_PAGES else None
 
     def _is_ours(self, scope: Scope) -> bool:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
@@ -239,7 +239,7 @@ class LoadingPages:
         self._clients[client.id] = client
         client.on_connect(lambda: self._connected(client.id))
         client.on_delete(lambda: self._deleted(client.id))
-        if len(self._clients) > MOST_LOADING:
+        if len(self._clients) > MAX_LOADING:
             next(iter(self._clients.values())).delete()
 
     def _connected(self, client_id: str) -> None:
@@ -346,7 +346,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     with suppress(OSError, ValueError):  # a lower limit of the system stays
-        resource.setrlimit(resource.RLIMIT_DATA, (MOST_DATA_BYTES, MOST_DATA_BYTES))
+        resource.setrlimit(resource.RLIMIT_DATA, (MAX_DATA_BYTES, MAX_DATA_BYTES))
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_bytes(OOM_SCORE)
     logging.getLogger("nicegui").setLevel(logging.WARNING)

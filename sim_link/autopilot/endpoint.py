@@ -60,7 +60,7 @@ from sim_link.world.environment import Emitter
 from sim_link.world.point_mass import PointMass
 
 MAX_CATCH_UP_S = 0.5
-MOST_UNREAD = 2000
+MAX_UNREAD = 2000
 """Chunks that the socket of a stalled autopilot keeps, about; the oldest are lost."""
 STEP_TOLERANCE = 1e-6
 """Share of a step by which a timer may be early through rounding."""
@@ -100,7 +100,7 @@ class SimEndpoint:
         self._began_s = started_s
         self._schedule = IncidentSchedule(scenario.incidents)
         self._stalled_until_s = -math.inf
-        self._unread: deque[Chunk] = deque(maxlen=MOST_UNREAD)
+        self._unread: deque[Chunk] = deque(maxlen=MAX_UNREAD)
         self._others: list[tuple[float, OtherComponentSender]] = []
         """Other components on the links, and until when."""
         self._boot(started_s, parameters, parameters_name)

@@ -40,7 +40,7 @@ PROJECTION_OF: dict[FlavourName, Projection] = {
     "ardupilot": Autopilot.ARDUPILOT.projection,
 }
 
-LEAST_FENCE_M2 = 1.0
+MIN_FENCE_M2 = 1.0
 VehicleCount = Annotated[int, msgspec.Meta(ge=1, le=250)]
 
 
@@ -113,7 +113,7 @@ class FenceParams(Params, frozen=True):
     def __post_init__(self) -> None:
         """Raise `ValueError` for a polygon that encloses nothing or crosses itself."""
         if self.corners_enu_m:
-            check_polygon("fence", self.corners_enu_m, LEAST_FENCE_M2)
+            check_polygon("fence", self.corners_enu_m, MIN_FENCE_M2)
 
 
 class PayloadParams(Params, frozen=True):

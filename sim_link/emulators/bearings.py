@@ -34,7 +34,7 @@ from sim_link.emulators.emulator import (
 
 FIRST_HZ, CHANNEL_HZ = 433_920_000, 25_000
 """Frequency of emitter 0, and the steps to the next one, Hz."""
-MOST_CONFIDENCE = 99.0
+MAX_CONFIDENCE = 99.0
 STATION = "S1"
 RING = tuple(f"{0.5 + 0.5 * math.cos(math.radians(degree)):.2f}" for degree in range(360))
 """Power of a source at 0 degrees by direction, in degrees, as the receiver prints it."""
@@ -123,7 +123,7 @@ class Kraken(Emulator):
     def _direction(self, answer: Answer, asked: Round) -> KrakenDirection:
         """Return the result; its time is the end, half the latency after the middle."""
         theta_deg = round(-math.degrees(answer.azimuth_rad or 0.0)) % 360
-        confidence = max(MOST_CONFIDENCE * answer.quality, 1.0)
+        confidence = max(MAX_CONFIDENCE * answer.quality, 1.0)
         return KrakenDirection(
             self.device_ms(asked.sent_at_s),
             theta_deg,
@@ -165,7 +165,7 @@ def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
         f"{10.0 * float(level) + extra:.2f}" for level, extra in zip(RING, noise, strict=True)
     )
     head = (
-        f"{epoch_ms}, {bearing_deg}, {found.confidence / MOST_CONFIDENCE:.2f}, "
+        f"{epoch_ms}, {bearing_deg}, {found.confidence / MAX_CONFIDENCE:.2f}, "
         f"{found.power_db:.1f}, "
         f"{found.frequency_hz}, {found.array}, 0, {STATION}"
     )

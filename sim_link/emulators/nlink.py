@@ -18,7 +18,7 @@ from companion.domain import PositionEnu
 from sim_link.emulators.emulator import U32, Answer, Emulator, Round, clamped
 
 ANCHOR, TAG = 1, 2
-MOST_INT24 = (1 << 23) - 1
+MAX_INT24 = (1 << 23) - 1
 TAG_FRAME_BYTES, TAG_FRAME_ANCHORS = 128, 8
 LOS_GAP_DB, NLOS_GAP_DB = 2.0, 12.0
 """Power of all signals above that of the first path (DW1000: under 6 is direct)."""
@@ -89,7 +89,7 @@ class NodeState:
 
 def int24(metres: float, scale: float = 1e3) -> bytes:
     """Return three bytes, two's complement."""
-    return clamped(scale * metres, -MOST_INT24, MOST_INT24).to_bytes(3, "little", signed=True)
+    return clamped(scale * metres, -MAX_INT24, MAX_INT24).to_bytes(3, "little", signed=True)
 
 
 def with_sum(frame: bytes) -> bytes:

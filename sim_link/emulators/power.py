@@ -38,7 +38,7 @@ from sim_link.emulators.emulator import (
 
 CHANNEL_NOISE_DBM = -117.0
 """Noise of a LoRa channel of 125 kHz: -174 dBm/Hz, 51 dB of bandwidth, 6 dB of the receiver."""
-MOST_SNR_DB = 14.0
+MAX_SNR_DB = 14.0
 """Signal-to-noise ratio at which the SX1301 saturates."""
 PULSE_NOISE_DBM = -150.0
 GATEWAY_EUI = "AA555A0000000101"
@@ -110,7 +110,7 @@ class Esp32Sniffer(LineEmulator):
 def heard_by_gateway(power_dbm: float) -> tuple[int, float]:
     """Return the power of the channel and the signal to noise ratio, as a gateway reports them."""
     channel_mw = 10.0 ** (0.1 * power_dbm) + 10.0 ** (0.1 * CHANNEL_NOISE_DBM)
-    snr_db = min(power_dbm - CHANNEL_NOISE_DBM, MOST_SNR_DB)
+    snr_db = min(power_dbm - CHANNEL_NOISE_DBM, MAX_SNR_DB)
     return round(10.0 * math.log10(channel_mw)), round(snr_db, 1)
 
 

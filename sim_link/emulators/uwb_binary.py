@@ -18,7 +18,7 @@ SESSION = 42
 OK, RX_TIMEOUT = 0x00, 0x21
 LOS, NLOS, UNKNOWN_PATH = 0, 1, 0xFF
 NO_DISTANCE_CM = 0xFFFF
-MOST_PAYLOAD = 255
+MAX_PAYLOAD = 255
 UCI_BOOT = bytes.fromhex("6001000101")
 """CORE_DEVICE_STATUS_NTF: ready."""
 SR150_ADDRESS = 0x1122
@@ -58,7 +58,7 @@ def session_info(
     head = struct.pack("<IIBIBBB", sequence, session, 0, interval_ms, 1, 0, 0)
     payload = head + bytes(8) + bytes((len(records),)) + b"".join(records)
     # all packets but the last announce a continuation
-    pieces = [payload[at : at + MOST_PAYLOAD] for at in range(0, len(payload), MOST_PAYLOAD)]
+    pieces = [payload[at : at + MAX_PAYLOAD] for at in range(0, len(payload), MAX_PAYLOAD)]
     packets = b""
     for number, piece in enumerate(pieces, 1):
         follows = 0x10 if number < len(pieces) else 0

@@ -52,7 +52,7 @@ GRACE_S = 10.0
 """Time for which an interrupted process may clean up before it is killed."""
 CONNECT_S = 3.0
 FIRST_WORKER_S = 5.0
-FRAME_COUNT, MOST_FRAMES = struct.Struct("<Q"), 1000
+FRAME_COUNT, MAX_FRAMES = struct.Struct("<Q"), 1000
 """Greeting of a dask scheduler: the number of its handshake's frames, and the largest."""
 THREADS_OF = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that are 1 in processes when there is one per core."""
@@ -271,7 +271,7 @@ def check_scheduler(host: str, port: int) -> None:
     """Raise an OSError unless the peer speaks dask, whose client would wait for ever."""
     with socket.create_connection((host, port), CONNECT_S) as connected:
         greeting = connected.recv(FRAME_COUNT.size, socket.MSG_WAITALL)
-    if len(greeting) < FRAME_COUNT.size or FRAME_COUNT.unpack(greeting)[0] > MOST_FRAMES:
+    if len(greeting) < FRAME_COUNT.size or FRAME_COUNT.unpack(greeting)[0] > MAX_FRAMES:
         raise OSError("something else listens there")
 
 

@@ -266,7 +266,7 @@ class RadioFollower(OneShotEndpoint):
         self._output.append(Chunk(link, self._codec.encode(message), peer))
 
 
-MOST_HZ = 50.0
+MAX_HZ = 50.0
 """Largest rate of positions, Hz."""
 SILENCE_S = 10.0
 """Seconds without a vehicle after which a warning is printed."""
@@ -369,7 +369,7 @@ def _follower(arguments: argparse.Namespace) -> RadioFollower:
     payload = scenario.payload
     if kind is not None and arguments.scenario is None:
         payload = PayloadParams(
-            rate_hz=min(kind.rate_hz, MOST_HZ),
+            rate_hz=min(kind.rate_hz, MAX_HZ),
             measures=kind.measures,
             antenna=AntennaModelParams(kind=kind.antenna),
         )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 REQUEST_S = 5.0
 """Wall seconds that a client may take for its request."""
-MOST_HEADERS = 100
+MAX_HEADERS = 100
 EXAMPLES = "pty:/tmp/radio, udpout:127.0.0.1:14700, tcpin:127.0.0.1:14700, stdout:"
 
 
@@ -217,7 +217,7 @@ class HttpLink(Link):
         with suppress(OSError, TimeoutError, ValueError, asyncio.IncompleteReadError):
             async with asyncio.timeout(REQUEST_S):
                 words = (await reader.readline()).decode("latin-1").split()
-                for _ in range(MOST_HEADERS):
+                for _ in range(MAX_HEADERS):
                     if not (await reader.readline()).strip():
                         break
                 path = words[1].partition("?")[0] if len(words) == 3 and words[0] == "GET" else ""

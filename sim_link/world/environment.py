@@ -154,7 +154,7 @@ class Emitter:
         )
 
 
-LEAST_OBSTACLE_M2 = 1e-3
+MIN_OBSTACLE_M2 = 1e-3
 """Minimum area of an obstacle: a mast is one, too."""
 
 Corners = Annotated[tuple[tuple[Coordinate, Coordinate], ...], msgspec.Meta(min_length=3)]
@@ -171,7 +171,7 @@ class ObstacleParams(Params, frozen=True):
 
     def __post_init__(self) -> None:
         """Refuse a polygon that encloses nothing or crosses itself."""
-        problem = polygon_problem(self.corners_enu_m, LEAST_OBSTACLE_M2)
+        problem = polygon_problem(self.corners_enu_m, MIN_OBSTACLE_M2)
         if problem is not None:
             raise ValueError(f"`{self.name}` {problem}")
 

@@ -19,7 +19,7 @@ from companion.radios.decoder import BUILT_IN, RadioDecoder, RadioReading, radio
 from companion.testing.radio_contract import fault_of, golden_lines
 from tests.contract.radio_streams import CHECKSUMMED, OPTIONS, STREAMS
 
-MOST_CHANGES = 4
+MAX_CHANGES = 4
 LONGEST_FRAME = 2048
 Make = Callable[[], RadioDecoder]
 
@@ -27,7 +27,7 @@ Make = Callable[[], RadioDecoder]
 def mutated(stream: bytes, rng: np.random.Generator) -> bytes:
     """Return a stream with one to a few changes."""
     data = bytearray(stream)
-    for _ in range(rng.integers(1, MOST_CHANGES + 1)):
+    for _ in range(rng.integers(1, MAX_CHANGES + 1)):
         at, other = (int(index) for index in rng.integers(0, len(data), 2))
         part = bytes(data[at : at + int(rng.integers(1, 40))])
         change = int(rng.integers(0, 6))

@@ -39,9 +39,9 @@ EMITTERS = tuple(
 )
 RADIO_HZ, FLOOD_HZ = 1_000.0, 20_000.0
 PROGRAMS_PER_CORE = 2
-MOST_BEYOND_QUIET_S = 0.10
-MOST_BUSY_GAP_S = 0.3
-MOST_R95_RATIO = 1.05
+MAX_BEYOND_QUIET_S = 0.10
+MAX_BUSY_GAP_S = 0.3
+MAX_R95_RATIO = 1.05
 """Largest ratio of the estimate's R95 to that without the load: both errors are centimetres, which
 is chance."""
 RADIO_COMPONENT = mavlink.MAV_COMP_ID_PERIPHERAL + 1
@@ -138,13 +138,13 @@ class Load:
     """Programs of normal priority that never wait."""
     is_signed: bool = False
     most_gap_s: float | None = None
-    """None: `MOST_BEYOND_QUIET_S` longer than without a load."""
+    """None: `MAX_BEYOND_QUIET_S` longer than without a load."""
 
 
 LOADS = {
     "emitters": Load(emitters=len(EMITTERS)),
     "radio": Load(rate_hz=RADIO_HZ, source=_radio),
-    "programs": Load(programs_per_core=PROGRAMS_PER_CORE, most_gap_s=MOST_BUSY_GAP_S),
+    "programs": Load(programs_per_core=PROGRAMS_PER_CORE, most_gap_s=MAX_BUSY_GAP_S),
     "flood": Load(rate_hz=FLOOD_HZ, source=_forger, is_signed=True),
 }
 
@@ -227,10 +227,10 @@ def fly_loaded(name: str, seed: int, duration_s: float) -> Compared:
     quiet = _fly(seed, Load(is_signed=load.is_signed), duration_s)
     loaded = _fly(seed, load, duration_s)
     findings = [] if loaded.is_kept else ["OFFBOARD was lost, or never entered"]
-    most_s = load.most_gap_s or quiet.gap_s + MOST_BEYOND_QUIET_S
+    most_s = load.most_gap_s or quiet.gap_s + MAX_BEYOND_QUIET_S
     if loaded.gap_s > most_s:
         findings.append(f"setpoints paused for {loaded.gap_s:.3f} s; {quiet.gap_s:.3f} s in quiet")
-    if loaded.r95_m > MOST_R95_RATIO * quiet.r95_m:
+    if loaded.r95_m > MAX_R95_RATIO * quiet.r95_m:
         findings.append(f"R95 {loaded.r95_m:.3f} m; {quiet.r95_m:.3f} m in quiet")
     if loaded.error_m > loaded.r95_m:
         findings.append(f"estimate off by {loaded.error_m:.3f} m, R95 {loaded.r95_m:.3f} m")

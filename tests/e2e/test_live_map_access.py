@@ -30,7 +30,7 @@ from tests.e2e.live_map_rig import (
 )
 from tests.ports import free_port
 
-MOST_MB = 10.0
+MAX_MB = 10.0
 """Kept, eighty pages have 50 MB and three hundred refusals 13 MB."""
 
 
@@ -90,7 +90,7 @@ def test_requests_that_no_browser_follows_cost_no_memory(tmp_path: Path) -> None
             before_mb = resident_mb(page)
             codes |= {status(url) for _ in range(count)}
             assert len(codes) == 1
-            assert resident_mb(page) - before_mb < MOST_MB, url
+            assert resident_mb(page) - before_mb < MAX_MB, url
 
 
 async def received(address: str) -> str:

@@ -27,7 +27,7 @@ RULES = {"runOnly": ["wcag2a", "wcag2aa"]}
 
 DIALOG_MS = 1000.0
 """A dialog has faded in by then."""
-LEAST_CONTRAST = 4.5
+MIN_CONTRAST = 4.5
 """WCAG 2.2, success criterion 1.4.3."""
 CONTRASTS = """charts => charts.flatMap(chart => {
   const luminance = (colour) => {
@@ -109,7 +109,7 @@ def test_every_text_has_the_contrast_that_sunlight_wants(
         watched.page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
         expect(watched.page.locator("path.ellipse")).to_have_count(1)
         assert broken_rules(watched.page) == []
-        assert least_contrast_of_charts(watched.page) >= LEAST_CONTRAST
+        assert least_contrast_of_charts(watched.page) >= MIN_CONTRAST
 
 
 def test_a_page_without_a_web_socket_is_as_readable(browser: Browser, tmp_path: Path) -> None:

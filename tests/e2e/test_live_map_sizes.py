@@ -25,7 +25,7 @@ from tests.e2e.live_map_rig import (
 
 pytestmark = [needs_chromium, pytest.mark.slow]
 SIZES = {"desk": DESK, "tablet": TABLET, "phone": PHONE, "phone across": PHONE_ACROSS}
-MOST_COVERED = 0.25
+MAX_COVERED = 0.25
 """Share of the map that the legend may cover before it is opened."""
 
 
@@ -53,7 +53,7 @@ def test_the_map_and_its_buttons_fit_the_screen_and_the_legend_leaves_it_free(
             expect(page.locator("path.ellipse")).to_have_count(1)
             _, _, map_width, map_height = box_of(page, ".search-map")
             _, _, legend_width, legend_height = box_of(page, ".legend")
-            assert legend_width * legend_height < MOST_COVERED * map_width * map_height, name
+            assert legend_width * legend_height < MAX_COVERED * map_width * map_height, name
             assert page.evaluate("document.documentElement.scrollWidth") <= size["width"], name
             assert bottom(page, ".search-map") <= size["height"], name
             assert map_height >= 0.45 * size["height"], name

@@ -170,7 +170,7 @@ class OwnRadio(Observer):
 
 P = ParamSpec("P")
 Flown = TypeVar("Flown")
-MOST_BEGINNINGS = 6
+MAX_BEGINNINGS = 6
 FUSED_S = 1.0
 """Measurements of a flight are fused within this long."""
 
@@ -211,7 +211,7 @@ def flown_once(begin: Callable[P, Flown]) -> Callable[P, Flown]:
         if key not in flown:
             flown[key] = begin(*args, **kwargs)
             _end_fits(getattr(flown[key], "flight", None))
-            if len(flown) > MOST_BEGINNINGS:
+            if len(flown) > MAX_BEGINNINGS:
                 flown.popitem(last=False)
         try:
             return copy.deepcopy(flown[key], _constants())

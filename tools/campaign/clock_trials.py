@@ -24,7 +24,7 @@ SLIPS_S = (-2.0, -0.7, 1.0, 5.0)
 FIRST_SLIP_S, LAST_SLIP_S = 5.0, 40.0
 """Times of slips; a clock that goes back to its first second looks like that of a restarted
 autopilot."""
-MOST_SLIPS = 3
+MAX_SLIPS = 3
 FLIGHT_S, FENCE_M = 180.0, 150.0
 LONGEST_HOLD_S, WORST_ERROR_M = 6.0, 1.5
 FALSE_ALARMS = ("autopilot restarted", "control yielded", "second source", "control lost")
@@ -48,7 +48,7 @@ def incidents_of(seed: int) -> tuple[ClockRate | ClockSlip, ...]:
     rate = ClockRate(rate=dice.one(RATES))
     slips = [
         ClockSlip(start_s=dice.number(FIRST_SLIP_S, LAST_SLIP_S), step_s=dice.one(SLIPS_S))
-        for _ in range(dice.one(range(1, MOST_SLIPS + 1)))
+        for _ in range(dice.one(range(1, MAX_SLIPS + 1)))
     ]
     return rate, *sorted(slips, key=lambda slip: slip.start_s)
 

@@ -38,7 +38,7 @@ from tools.campaign.flights import STARTED_UNIX_S, Part, Trial, TrialOutcome
 FRAMES_PER_TRIAL = 20_000
 PER_TICK = 10
 SLOWEST_FRAME_S = 0.05
-MOST_GROWTH_MB = 24.0
+MAX_GROWTH_MB = 24.0
 SIGNED_LINK = 9
 _BY_NAME = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 _ACTED_ON = (
@@ -110,7 +110,7 @@ def _fuzz(trial: Trial) -> TrialOutcome:
     grown_mb = process_use().resident_mb - settled_mb
     if slowest_s > SLOWEST_FRAME_S:
         findings.append(f"a frame took {slowest_s:.3f} s")
-    if grown_mb > MOST_GROWTH_MB:
+    if grown_mb > MAX_GROWTH_MB:
         findings.append(f"memory grew by {grown_mb:.1f} MB")
     return TrialOutcome(
         trial,

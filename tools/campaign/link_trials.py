@@ -24,10 +24,10 @@ from tools.campaign.flights import Monitored, Part, Trial, TrialOutcome
 SETTLING_S = 30.0
 """The loss is known after this long."""
 LOSSES = (0.1, 0.3, 0.5)
-MOST_GAP_S = {0.1: 0.4, 0.3: 0.4, 0.5: 0.5}
+MAX_GAP_S = {0.1: 0.4, 0.3: 0.4, 0.5: 0.5}
 HOUR_S = 3600.0
 PIECE_H = 0.25
-MOST_FALSE_LOSSES_PER_10_H = 1.0
+MAX_FALSE_LOSSES_PER_10_H = 1.0
 SETPOINT = mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
@@ -59,7 +59,7 @@ class Gaps(Observer):
 
 def pauses_of(gaps: Gaps, share: float) -> list[str]:
     """Return a finding if the stream paused for too long at such a loss."""
-    if gaps.worst_s <= MOST_GAP_S[share]:
+    if gaps.worst_s <= MAX_GAP_S[share]:
         return []
     return [f"gap of {gaps.worst_s:.3f} s at {share:.0%} loss"]
 

@@ -72,7 +72,7 @@ def emitter_of(site: Site, rng: np.random.Generator) -> tuple[float, float]:
             return e, n
 
 
-MOST_FAULTS = 4
+MAX_FAULTS = 4
 LATENCY_S = 0.5
 WIND_MPS = 12.0
 SPEEDS_MPS = (3.0, 5.0, 8.0, 10.0)
@@ -133,7 +133,7 @@ def mission_case(seed: int) -> MissionCase:
         payload = msgspec.structs.replace(scenario.payload, max_range_m=REACH_M)
         scenario = msgspec.structs.replace(scenario, payload=payload)
     is_signed = dice.happens(SIGNED_SHARE)
-    faults = [flights.random_fault(rng) for _ in range(1 + int(rng.integers(MOST_FAULTS)))]
+    faults = [flights.random_fault(rng) for _ in range(1 + int(rng.integers(MAX_FAULTS)))]
     latency_s = dice.number(0.0, LATENCY_S)
     share = dice.number(0.0, 1.0)
     delays = (

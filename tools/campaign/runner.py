@@ -193,7 +193,7 @@ def judge(tally: CampaignTally) -> None:
     sums = tally.sums
     hours = sums.get(f"hours_{JUDGED_LOSS}", 0.0)
     lost = sums.get(f"false_losses_{JUDGED_LOSS}", 0.0)
-    allowed = link_trials.MOST_FALSE_LOSSES_PER_10_H * max(hours, ENOUGH_HOURS) / 10.0
+    allowed = link_trials.MAX_FALSE_LOSSES_PER_10_H * max(hours, ENOUGH_HOURS) / 10.0
     if lost and lost >= allowed:
         what = f"{lost:.0f} links falsely declared lost in {hours:.1f} h at 30 % loss"
         tally.findings.append(TrialFinding("gaps", what))

@@ -102,7 +102,7 @@ TAIL_MEANS = 40.0
 """Exponential tails are cut here, in means."""
 NO_BIAS_SIGMAS = 1e-4
 """Mean bias below which an estimator counts as unbiased."""
-LEAST_SHARE = 1e-12
+MIN_SHARE = 1e-12
 """Share of the information with known offsets below which the rest is rounding."""
 MIN_DISTANCE_M = 1e-3
 """Distance below which a direction has no meaning, and a measurement no information."""
@@ -234,5 +234,5 @@ def position_bounds_m2(
             mixed = np.array((with_e * with_e, with_e * with_n, with_n * with_n))
             total, marginal = total + own, marginal + own - mixed / (known + np.cumsum(weight))
         trace, det = marginal[0] + marginal[2], marginal[0] * marginal[2] - marginal[1] ** 2
-        least = LEAST_SHARE * (total[0] + total[2])
+        least = MIN_SHARE * (total[0] + total[2])
         return np.where((trace > least) & (det > least * trace), trace / det, np.inf)

@@ -186,7 +186,7 @@ def fly_planners(number: int, seed: int) -> list[SearchTimes]:
     return found
 
 
-MOST_RATIO: Mapping[Poa, float] = {"even": 1.02, "uneven": 0.7}
+MAX_RATIO: Mapping[Poa, float] = {"even": 1.02, "uneven": 0.7}
 """Median time of `probability` over the lawnmower's."""
 
 
@@ -204,5 +204,5 @@ def table_of(flown: Sequence[Sequence[SearchTimes]]) -> tuple[str, bool]:
             base_s = median_s if name == NAMES[0] else base_s
             ratio = median_s / base_s
             lines.append(f"{poa:9}{name:14}{median_s:8.0f}{ratio:14.2f}{heard:7.2f}")
-            is_met &= name != "probability" or ratio <= MOST_RATIO[poa]
+            is_met &= name != "probability" or ratio <= MAX_RATIO[poa]
     return "\n".join(lines) + "\n", is_met

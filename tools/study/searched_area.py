@@ -31,7 +31,7 @@ KINDS = get_args(Kind)
 EMITTERS = 40
 """Positions of one flight at which an emitter is tried; the first is drawn from the POA."""
 INTERVAL_S = 1.0
-MOST_REACH_ERROR_DB = 6.0
+MAX_REACH_ERROR_DB = 6.0
 EDGE_M = 20.0
 """Distance between the ends of a lane and the edges of the square."""
 
@@ -88,7 +88,7 @@ def draw_world(rng: np.random.Generator) -> tuple[World, DetectionModel]:
     environment: Environment = "buildings" if kind == "walls" else kind
     exponent, shadowing_db, correlation_m, rice_k_db = PROPAGATION[environment]
     reach_sigma_db = float(rng.choice([2.0, 3.0, 4.0]))
-    error_db = _truncated_normal(rng, reach_sigma_db, MOST_REACH_ERROR_DB)
+    error_db = _truncated_normal(rng, reach_sigma_db, MAX_REACH_ERROR_DB)
     stated_m = float(rng.uniform(60.0, 150.0))
     duty_cycle = float(rng.choice([1.0, 0.3, 0.1]))
     buildings = _draw_buildings(rng) if kind == "walls" else ()

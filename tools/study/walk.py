@@ -207,7 +207,7 @@ EARLY_COUNT = 50
 EARLY_GROWTH, LATE_GROWTH = 0.15, 0.5
 """The history is solved whenever it has grown by this share, up to `EARLY_COUNT` and after it."""
 GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
-LEAST_RANGE_M = 1.0
+MIN_RANGE_M = 1.0
 EARLY_TOLERANCE_M, LATE_TOLERANCE_M = 1e-2, 1e-3
 """Length of a step below which a solution ends, up to `EARLY_COUNT` and after it."""
 BETTER_COST = 1e-6
@@ -233,7 +233,7 @@ def history_of(steps: int, belief: WalkFilter) -> Matrix:
 def fresh_start(rows: Matrix, turn: int, prior_mean: Vector) -> Vector:
     """Return a state (4,) in a direction from the path's middle, at the ranges' distance."""
     direction_rad = GOLDEN_ANGLE_RAD * turn
-    distance_m = max(float(np.median(rows[:, map_kernels.VALUES])), LEAST_RANGE_M)
+    distance_m = max(float(np.median(rows[:, map_kernels.VALUES])), MIN_RANGE_M)
     start = prior_mean.copy()
     start[0] = rows[:, 0].mean() + distance_m * math.cos(direction_rad)
     start[1] = rows[:, 1].mean() + distance_m * math.sin(direction_rad)

@@ -36,7 +36,7 @@ from companion.guidance.phases import HAS_VEHICLE, IN_CONTROL, Trigger
 from companion.guidance.vehicle import ORIGIN_STEP_M
 from companion.guidance.vehicle_track import is_plausible
 
-LEAST_STEP_M = 0.5
+MIN_STEP_M = 0.5
 """Smallest step that stands out from noise."""
 NOISE_SIGMAS = 7.0
 """Multiple of the reports' noise, not exceeded once a day at 20 reports a second."""
@@ -44,7 +44,7 @@ NOISE_SHARE = 0.02
 """Weight of the newest report in the mean square of that noise."""
 MAX_ACCELERATION_MPS2 = 10.0
 """Largest acceleration; two states differ by a quarter of it times the time squared."""
-LEAST_TURN_RAD = math.radians(15.0)
+MIN_TURN_RAD = math.radians(15.0)
 MAX_TURN_RADPS = math.radians(120.0)
 """Fastest change of a heading, beyond the smallest turn."""
 MAX_GAP_S = 1.0
@@ -87,7 +87,7 @@ def position_jump_m(
     jump = _unexplained_m(before, after, dt_s)
     if jump is None:
         return None
-    least_m = max(LEAST_STEP_M, NOISE_SIGMAS * noise_m)
+    least_m = max(MIN_STEP_M, NOISE_SIGMAS * noise_m)
     most_m = least_m + 0.25 * MAX_ACCELERATION_MPS2 * dt_s * dt_s
     return jump if math.hypot(*jump) > most_m else None
 
@@ -121,7 +121,7 @@ def yaw_jump_rad(before: tuple[float, float], after: tuple[float, float]) -> flo
     dt_s, turn_rad = after[0] - before[0], wrap_pi(after[1] - before[1])
     if not 0.0 < dt_s <= MAX_GAP_S:
         return None
-    return turn_rad if abs(turn_rad) > LEAST_TURN_RAD + MAX_TURN_RADPS * dt_s else None
+    return turn_rad if abs(turn_rad) > MIN_TURN_RAD + MAX_TURN_RADPS * dt_s else None
 
 
 def may_breach(limits: GuardLimits, motion: Motion, jump_enu_m: PositionEnu) -> bool:
@@ -262,7 +262,7 @@ class JumpWatch(Watch):
         self._move_targets(rest_m, 0.0, 0.0)
         if is_moved and self._jumped_m is not None:
             left_m = _minus(self._jumped_m, moved_m)
-            self.is_idle = math.hypot(*left_m) <= LEAST_STEP_M
+            self.is_idle = math.hypot(*left_m) <= MIN_STEP_M
             self._jumped_m = None if self.is_idle else left_m
         elif not is_moved:
             context.steering.shift(rest_m)
@@ -273,7 +273,7 @@ class JumpWatch(Watch):
         """Return the part of a shift that the newest jump contains, if it was just now."""
         if self._newest is None or now_s - self._newest[0] > STEADY_S:
             return NO_STEP
-        least_m = max(LEAST_STEP_M, NOISE_SIGMAS * self._noise.sigma_m)
+        least_m = max(MIN_STEP_M, NOISE_SIGMAS * self._noise.sigma_m)
         newest_m, self._newest = self._newest[1], None
         return newest_m if math.dist(newest_m, shift_enu_m) <= least_m else NO_STEP
 

@@ -41,7 +41,7 @@ TIMEOUT_S = 2.0
 """Timeout of a connection, and of each part of an answer."""
 WHOLE_TIMEOUT_S = 5.0
 """Timeout of a whole answer."""
-MOST_PAGE_BYTES = 1_000_000
+MAX_PAGE_BYTES = 1_000_000
 FILE_LOOK_S = 0.05
 LINES_PER_S = 10.0
 """Rate of a file without times during playback."""
@@ -155,7 +155,7 @@ class HttpPollLink(WaitingLink):
         page, until_s = bytearray(), time.monotonic() + WHOLE_TIMEOUT_S
         while piece := answer.read1(65_536):
             page += piece
-            if len(page) > MOST_PAGE_BYTES:
+            if len(page) > MAX_PAGE_BYTES:
                 raise ValueError("the page is too large")
             if time.monotonic() > until_s:
                 raise TimeoutError("the answer takes too long")
@@ -327,5 +327,5 @@ class WebSocketLink(WaitingLink):
             proxy=None,
             open_timeout=TIMEOUT_S,
             close_timeout=LOOK_S,
-            max_size=MOST_PAGE_BYTES,
+            max_size=MAX_PAGE_BYTES,
         )

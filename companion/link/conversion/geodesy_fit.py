@@ -24,9 +24,9 @@ ALIKE_M = 3.0 * math.sqrt(2.0) * PAIR_SIGMA_M
 """Three sigma of the difference of two pairs; farther apart one of them is wrong."""
 PRIOR_OFFSET_M, PRIOR_SCALE = 10.0, 0.01
 """Prior standard deviations of the fitted offset, metres, and scale."""
-FEWEST_PAIRS = 20
+MIN_PAIRS = 20
 """Minimum number of pairs before a fit is used: ten seconds of them."""
-LEAST_OFF_M = 0.1
+MIN_OFF_M = 0.1
 """Largest difference of positions that agree."""
 RENEW_OFF_M = 0.05
 """Change of the current position above which a fit is replaced."""
@@ -131,9 +131,9 @@ class GeodesyFit:
             )
         self._pairs += 1
         fitted = [p + line.at_m(p) for line, p in zip(self._lines, projected, strict=True)]
-        least_m = LEAST_OFF_M if self.origin == self.reported else RENEW_OFF_M
+        least_m = MIN_OFF_M if self.origin == self.reported else RENEW_OFF_M
         is_near = math.dist(fitted, self.origin.enu_from_geodetic(*geodetic)) <= least_m
-        if self._pairs < FEWEST_PAIRS or is_near:
+        if self._pairs < MIN_PAIRS or is_near:
             return False
         before, self.origin = self.origin, self._best(fitted[2] - projected[2])
         return self.origin != before

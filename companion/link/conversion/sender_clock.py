@@ -87,7 +87,7 @@ BUCKET_S = 1.0
 """Length of an interval whose least delay is kept, seconds."""
 BUCKETS = 8
 """Number of those intervals."""
-FEWEST_BUCKETS = 4
+MIN_BUCKETS = 4
 """Minimum number of intervals for a fit."""
 STRAIGHT_S = 0.010
 """Largest distance of the minima of a steady clock from their line."""
@@ -185,7 +185,7 @@ class Timebase:
 
     def _fit_rate(self, now_s: float) -> float | None:
         """Fit the rate by arrival; return the smallest offset if just determined, or None."""
-        if len(self._minima) < FEWEST_BUCKETS:
+        if len(self._minima) < MIN_BUCKETS:
             return None
         times_s, offsets_s = zip(*self._minima, strict=True)
         line = statistics.linear_regression(times_s, offsets_s)

@@ -64,7 +64,7 @@ THROTTLE_DEAD_ZONE = 0.06
 """RC3_DZ, 30 us of 500."""
 IDLE_DETECTION_S = 0.5
 """ArduCopter takes this much longer than DISARM_DELAY."""
-LEAST_SPEED_CMPS, LEAST_TIMEOUT_S = 10.0, 0.1
+MIN_SPEED_CMPS, MIN_TIMEOUT_S = 10.0, 0.1
 """Lowest effective values of the speed parameters (WPNAV_SPEED and others) and GUID_TIMEOUT."""
 ATTITUDE_SHARE = 0.5
 """Share of the boot after which modes without a position can be armed."""
@@ -313,15 +313,15 @@ class ArduPilotFlavour(AutopilotFlavour):
         override_s = self.parameters["RC_OVERRIDE_TIME"]
         self.aircraft.sticks.joystick_timeout_s = override_s if override_s >= 0.0 else math.inf
         body = self.aircraft.motion
-        timeout_s = max(LEAST_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
+        timeout_s = max(MIN_TIMEOUT_S, self.parameters["GUID_TIMEOUT"])
         self.guided.watch(now_s, timeout_s, is_on_ground=body.is_on_ground)
         value, commanded_mps = self.parameters, self.commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
         across_cmps = home_cmps or value["WPNAV_SPEED"]
         self.aircraft.pilot.limits = SpeedLimits(
-            commanded_mps.get(HORIZONTAL, max(LEAST_SPEED_CMPS, across_cmps) / 100.0),
-            commanded_mps.get(CLIMB, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
-            commanded_mps.get(DESCENT, max(LEAST_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),
+            commanded_mps.get(HORIZONTAL, max(MIN_SPEED_CMPS, across_cmps) / 100.0),
+            commanded_mps.get(CLIMB, max(MIN_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
+            commanded_mps.get(DESCENT, max(MIN_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),
         )
         if not self.is_armed:
             return

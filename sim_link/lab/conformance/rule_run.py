@@ -39,7 +39,7 @@ NEAR_M = 20.0
 GO_BACK_S = 60.0
 COME_BACK_S = 90.0
 """Longest wait for a silent vehicle, in s: a real autopilot boots within 40 s."""
-MOST_LANDINGS = 2
+MAX_LANDINGS = 2
 """Consecutive failed landings after which a vehicle is left to its operator."""
 
 
@@ -235,7 +235,7 @@ class RuleRun:
         except Violation as problem:
             self._progress(f"the vehicle is not in order: {problem}")
             self._failed_landings += 1
-            if self._failed_landings >= MOST_LANDINGS:
+            if self._failed_landings >= MAX_LANDINGS:
                 self._lost = f"the vehicle is not in order: {problem}"
 
     def _finish(self) -> None:

@@ -272,7 +272,7 @@ class Injector(Observer):
 
 VEHICLE, COMPANION, ATTACK = range(3)
 """Links: the one the vehicle sends to, and two to the companion, each with its own address."""
-MOST_ATTACKS_AT_ONCE = 1000
+MAX_ATTACKS_AT_ONCE = 1000
 
 
 @dataclass(slots=True)
@@ -337,7 +337,7 @@ class FaultProxy(OneShotEndpoint):
                 self.counters.to_vehicle += 1
                 self._output.append(Chunk(VEHICLE, data, self._vehicle))
         for fault in (each for each in self._attacks if each.is_active(now_s)):
-            self._owed = min(self._owed + fault.rate_hz * elapsed_s, MOST_ATTACKS_AT_ONCE)
+            self._owed = min(self._owed + fault.rate_hz * elapsed_s, MAX_ATTACKS_AT_ONCE)
             while self._owed >= 1.0:
                 self._owed -= 1.0
                 attack = self._attacker.next(fault)

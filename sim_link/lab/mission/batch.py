@@ -24,7 +24,7 @@ from companion.io.links.transports import TcpClient, make_link, parse_transport
 from companion.kernel import IS_COMPILED_ON_CALL
 from companion.report.charts import Chart, MapLayers, TimeCharts, TimeCurve, flight_map, histogram
 from companion.report.flight_summary import EventRow, event_text
-from companion.report.page import LEAST_M, FlightPage, render_page
+from companion.report.page import MIN_M, FlightPage, render_page
 from companion.warm_up import warm_up as fly_in_circles
 from sim_link.autopilot.endpoint import SimEndpoint
 from sim_link.autopilot.scenario import FlavourName
@@ -146,8 +146,8 @@ def _charts(result: MissionResult) -> list[Chart | None]:
     record, points = result.record, result.record.estimates
     marks = [(s.started_s, f"{s.title} at {s.started_s:.1f} s") for s in record.steps]
     over_time = TimeCharts(record.ended_s, marks)
-    radii = [(p.time_s, max(p.r95_m, LEAST_M)) for p in points]
-    errors = [(p.time_s, max(result.error_m(p), LEAST_M)) for p in points]
+    radii = [(p.time_s, max(p.r95_m, MIN_M)) for p in points]
+    errors = [(p.time_s, max(result.error_m(p), MIN_M)) for p in points]
     residuals: list[Point] = [
         (p.time_s, p.range_innovation_m) for p in points if p.range_innovation_m is not None
     ]

@@ -96,7 +96,7 @@ METRES_ROUNDING_M = 2e-3
 DEGREES_ROUNDING_M = 9e-3
 """Rounding of degrees: half a step of 1e-7 is 5.6 mm, to the north and to the east, and the value
 that it is compared with is rounded, too."""
-MOST_OF_A_KIND = 20
+MAX_PER_KIND = 20
 """Violations of one kind that are kept; more are counted."""
 
 
@@ -191,7 +191,7 @@ class ObservedScene:
         """Report that an invariant does not hold now."""
         kind = (invariant, what)
         self.counts[kind] = self.counts.get(kind, 0) + 1
-        if self.counts[kind] <= MOST_OF_A_KIND:
+        if self.counts[kind] <= MAX_PER_KIND:
             self.violations.append(InvariantViolation(self.now_s, invariant, what, numbers or {}))
 
     def remember(self, frame: Frame) -> None:

@@ -10,7 +10,7 @@ from companion.io.files import write_bytes_atomic, write_text_atomic
 from tools.study.reporting import plots
 from tools.study.searched_area import KINDS, Bin, Kind, Trial, csv_of, reliability, success
 
-MOST_ERROR = 0.03
+MAX_ERROR = 0.03
 """Largest permitted difference between heard and stated shares in each tenth."""
 COLOURS: dict[Kind, str] = {"open": plots.LATCHED, "rubble": plots.PASSIVE, "walls": plots.FIM}
 
@@ -28,7 +28,7 @@ def table_of_area(flown: Sequence[Sequence[Trial]]) -> tuple[str, bool]:
         f"POS stated {stated:.3f}, emitters heard {heard:.3f}, of {flights} flights with one"
     )
     errors = [heard - stated, *(each.error for each in overall)]
-    return "\n".join(lines) + "\n", all(abs(error) <= MOST_ERROR for error in errors)
+    return "\n".join(lines) + "\n", all(abs(error) <= MAX_ERROR for error in errors)
 
 
 def write_reliability(out: Path, flown: Sequence[Sequence[Trial]]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.domain import EstimateState, TargetEstimate
-from companion.guidance.reporting import MOST_SETTLED_M, SettledRule
+from companion.guidance.reporting import MAX_SETTLED_M, SettledRule
 
 SETTLE_S = 30.0
 
@@ -36,12 +36,12 @@ def test_a_radius_that_grows_is_looked_at_again() -> None:
 
 
 def test_a_place_that_may_be_anywhere_never_settles() -> None:
-    assert _met_at([MOST_SETTLED_M + 1.0] * 100) is None
+    assert _met_at([MAX_SETTLED_M + 1.0] * 100) is None
 
 
 def test_a_wide_position_settles_unless_a_narrower_one_is_configured() -> None:
     rule = SettledRule()
-    wide = _estimate(MOST_SETTLED_M + 20.0, EstimateState.LOCALISED)
+    wide = _estimate(MAX_SETTLED_M + 20.0, EstimateState.LOCALISED)
     assert [rule.is_met(wide, t, SETTLE_S) for t in (0.0, 29.0, 30.0)] == [False, False, True]
 
 

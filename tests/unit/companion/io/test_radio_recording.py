@@ -8,7 +8,7 @@ import pytest
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import Projection
 from companion.io.radio_recording import (
-    MOST_DATA_BYTES,
+    MAX_DATA_BYTES,
     RadioBytes,
     RadioRecordingWriter,
     Record,
@@ -144,7 +144,7 @@ def test_a_flood_becomes_records_that_can_be_read(tmp_path: Path) -> None:
     path = written(tmp_path / "walk.radio", [RadioBytes(1.0, 0, flood)])
     records = [r for r in read_radio_recording(path)[1] if isinstance(r, RadioBytes)]
     assert b"".join(record.data for record in records) == flood
-    assert max(len(record.data) for record in records) == MOST_DATA_BYTES
+    assert max(len(record.data) for record in records) == MAX_DATA_BYTES
 
 
 def test_a_pose_without_numbers_is_dropped_and_counted(tmp_path: Path) -> None:

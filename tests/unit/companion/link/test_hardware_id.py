@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.link.identity import MOST_ASKS, HardwareId, uid_of
+from companion.link.identity import MAX_REQUESTS, HardwareId, uid_of
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import Message, mavlink
 
@@ -34,7 +34,7 @@ def test_the_longer_id_counts_and_zero_is_none(message: Message, uid: str | None
 def test_an_autopilot_that_does_not_answer_is_asked_a_few_times() -> None:
     hardware = HardwareId()
     asked = [hardware.is_due(0.05 * tick) for tick in range(400)]
-    assert sum(asked) == MOST_ASKS
+    assert sum(asked) == MAX_REQUESTS
 
 
 def test_an_answer_ends_the_asking_until_there_is_a_cause() -> None:

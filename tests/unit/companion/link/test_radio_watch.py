@@ -7,7 +7,7 @@ from dataclasses import replace
 from companion.config.radios import RadioConfig
 from companion.config.schema import CompanionConfig
 from companion.flight_setup import FlightFacts, build_endpoint
-from companion.link.intake import MOST_RAW_BYTES, RAW_BYTES, FloodBudget
+from companion.link.intake import MAX_RAW_BYTES, RAW_BYTES, FloodBudget
 from companion.link.interface import RadioSettings, RadioSetup
 from companion.link.quality import RadioWatch
 from companion.link.radio_stage import RadioStage
@@ -95,15 +95,15 @@ def test_the_rate_is_that_of_the_last_seconds() -> None:
 
 def test_a_link_has_so_many_bytes_a_tick_and_more_after_a_pause() -> None:
     budget = FloodBudget()
-    assert budget.spend_raw(MOST_RAW_BYTES)
+    assert budget.spend_raw(MAX_RAW_BYTES)
     assert not budget.spend_raw(1)
     budget.renew()
     assert budget.spend_raw(RAW_BYTES)
     assert not budget.spend_raw(1)
     for _ in range(100):
         budget.renew()
-    assert not budget.spend_raw(MOST_RAW_BYTES + 1)
-    assert budget.spend_raw(MOST_RAW_BYTES)
+    assert not budget.spend_raw(MAX_RAW_BYTES + 1)
+    assert budget.spend_raw(MAX_RAW_BYTES)
     assert budget.dropped_unread == 3
 
 
@@ -123,4 +123,4 @@ def test_the_endpoint_tells_of_a_flood_and_of_silence_and_shows_its_radios() -> 
     assert radios[0][0] == "ndjson"
     assert "silent for" in radios[0][1]
     records = [fields for kind, fields in wire.journal.records if kind == "radio"]
-    assert records[-1]["bytes"] == MOST_RAW_BYTES
+    assert records[-1]["bytes"] == MAX_RAW_BYTES

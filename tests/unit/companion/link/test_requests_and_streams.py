@@ -5,7 +5,7 @@ import pytest
 from companion.domain import Autopilot
 from companion.guidance.events import Outcome, RequestAnswered, RequestKind
 from companion.link.autopilot_queries import (
-    MOST_ASKS,
+    MAX_REQUESTS,
     ONE_SHOT,
     ONLY_FROM,
     STREAM_INTERVAL_S,
@@ -292,7 +292,7 @@ def test_each_unread_stream_is_requested_to_stop() -> None:
 
 
 def test_a_stream_that_does_not_stop_is_asked_a_few_times_only() -> None:
-    assert len(stops(StreamStopper(), 100.0)) == 2 * MOST_ASKS
+    assert len(stops(StreamStopper(), 100.0)) == 2 * MAX_REQUESTS
 
 
 def test_a_restarted_autopilot_is_asked_again() -> None:

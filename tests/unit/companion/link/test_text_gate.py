@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.guidance.commands import Announce, Severity, Topic
-from companion.link.text_gate import CAUSE_PERIOD_S, MOST_CAUSES, TextGate
+from companion.link.text_gate import CAUSE_PERIOD_S, MAX_CAUSES, TextGate
 
 BYTES_PER_S = 5760.0
 
@@ -113,4 +113,4 @@ def test_invented_causes_do_not_fill_the_memory() -> None:
     gate = TextGate(BYTES_PER_S)
     for n in range(20_000):
         gate.admit(warning(f"emitter {n} lost"), float(n))
-    assert len(gate._announced_s) <= MOST_CAUSES + 1
+    assert len(gate._announced_s) <= MAX_CAUSES + 1

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from companion.geometry.obstacles import FreeSpace, between
 from companion.geometry.polygons import Point, contains, distance_to_border_m, nearest_on_segment
 from companion.planning.search_tracks import (
-    LEAST_LEG_M,
+    MIN_LEG_M,
     Leg,
     Track,
     clipped,
@@ -138,7 +138,7 @@ def test_no_place_deep_in_any_area_is_farther_from_a_lane_than_half_the_spacing(
     position = data.draw(st.tuples(st.floats(-160.0, 160.0), st.floats(-160.0, 160.0)))
     if (
         contains(area, position)
-        and distance_to_border_m(area, position) > 0.5 * spacing_m + LEAST_LEG_M
+        and distance_to_border_m(area, position) > 0.5 * spacing_m + MIN_LEG_M
     ):
         assert _distance_m(track, position) <= 0.5 * spacing_m + 1e-6
 

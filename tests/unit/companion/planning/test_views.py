@@ -19,7 +19,7 @@ from companion.flight_setup import build_planner
 from companion.kernel import Vector
 from companion.planning.crossing import LatchedCrossing
 from companion.planning.views import (
-    LEAST_HEIGHT_M,
+    MIN_HEIGHT_M,
     Antenna,
     LegView,
     best_reach_m,
@@ -195,7 +195,7 @@ def test_ranges_alone_want_to_be_seen_from_far_to_the_side() -> None:
 
 def test_near_the_ground_a_range_tells_all_and_a_bearing_no_more_than_its_least_height() -> None:
     leg = _leg(_antenna("azimuth"), 0.0, 2.0)
-    assert leg.height_m == LEAST_HEIGHT_M
+    assert leg.height_m == MIN_HEIGHT_M
     assert information(1000.0, leg) == pytest.approx(2.0 * 1000.0 / 4.0, rel=0.01)
     planar = _leg(_antenna("planar"), 0.0, math.inf, 0.1)
     assert information(1e6, planar) == pytest.approx(math.pi / 0.01, rel=1e-3)
@@ -225,6 +225,6 @@ def test_ranges_and_directions_without_an_edge_of_view_tell_more_from_lower(
     leg: LegView, share: float
 ) -> None:
     whole = leg._replace(half_rad=0.5 * math.pi, middle_rad=0.0, ahead_up=0.0, up2=0.0)
-    lower = whole._replace(height_m=max(whole.height_m / share, LEAST_HEIGHT_M))
+    lower = whole._replace(height_m=max(whole.height_m / share, MIN_HEIGHT_M))
     high, low = (rate(best_reach_m(each, 1.0, 60.0), each) for each in (whole, lower))
     assert low >= high * (1.0 - 1e-6)

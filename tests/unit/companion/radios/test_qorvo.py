@@ -7,7 +7,7 @@ import math
 import pytest
 
 from companion.radios.decoder import AngleFrame, RadioReading
-from companion.radios.qorvo import MOST_RECORD_BYTES, PdoaJsDecoder, QorvoCliDecoder
+from companion.radios.qorvo import MAX_RECORD_BYTES, PdoaJsDecoder, QorvoCliDecoder
 
 WITH_ANGLES = (
     b"SESSION_INFO_NTF: {session_handle=1, sequence_number=0, block_index=0, n_measurements=1\n"
@@ -67,7 +67,7 @@ def test_a_record_that_is_broken_off_keeps_what_was_whole() -> None:
 def test_a_record_without_end_is_broken_off_at_8_kib() -> None:
     decoder = QorvoCliDecoder()
     endless = b'SESSION_INFO_NTF: {n=1\n [mac_address=0x0001, status="SUCCESS", distance[cm]=245];'
-    readings = decoder.feed(endless + b"\n ." * MOST_RECORD_BYTES + b"\n", 0.0)
+    readings = decoder.feed(endless + b"\n ." * MAX_RECORD_BYTES + b"\n", 0.0)
     assert readings == [RANGED]
 
 

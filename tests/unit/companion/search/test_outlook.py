@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.search.detection_model import DetectionModel
-from companion.search.outlook import MOST_CELLS, LegTable, outlook_of
+from companion.search.outlook import MAX_CELLS, LegTable, outlook_of
 from companion.search.search_grid import SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchedArea, state_of
 
@@ -64,7 +64,7 @@ def test_the_same_leg_again_finds_next_to_nothing() -> None:
 def test_a_large_area_is_forecast_in_blocks_of_cells() -> None:
     large = tuple((10.0 * e, 10.0 * n) for e, n in SQUARE)
     outlook = outlook_of(SearchedArea(grid_over([WeightedArea(large)], 20.0), MODELS[0]))
-    assert len(outlook.chance) <= MOST_CELLS
+    assert len(outlook.chance) <= MAX_CELLS
     assert outlook.left == pytest.approx(1.0, abs=1e-5)
     centres = outlook.grid.centres_enu_m
     assert centres.min() > 0.0

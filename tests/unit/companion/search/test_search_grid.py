@@ -5,7 +5,7 @@ import pytest
 import shapely
 
 from companion.search.search_grid import (
-    MOST_CELLS,
+    MAX_CELLS,
     SearchGrid,
     WeightedArea,
     grid_of_weights,
@@ -49,7 +49,7 @@ def test_a_large_area_has_cells_as_small_as_their_number_allows(
     width_m, height_m = sides_m
     large = ((0.0, 0.0), (width_m, 0.0), (width_m, height_m), (0.0, height_m))
     grid = grid_over([WeightedArea(large)], 20.0)
-    assert 0.95 * MOST_CELLS < grid.inside.size <= MOST_CELLS
+    assert 0.95 * MAX_CELLS < grid.inside.size <= MAX_CELLS
     assert grid.cell_m > 20.0
 
 

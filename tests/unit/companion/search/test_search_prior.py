@@ -9,7 +9,7 @@ import pytest
 
 from companion.search.detection_model import DetectionModel
 from companion.search.search_grid import WeightedArea, grid_over
-from companion.search.searched_area import LEAST_ODDS, SearchedArea, SearchPrior, state_of
+from companion.search.searched_area import MIN_ODDS, SearchedArea, SearchPrior, state_of
 
 SQUARE = ((0.0, 0.0), (400.0, 0.0), (400.0, 400.0), (0.0, 400.0))
 
@@ -27,7 +27,7 @@ def prior() -> SearchPrior:
 def test_what_was_searched_in_vain_is_less_likely(prior: SearchPrior) -> None:
     along = [prior.log_at((200.0, north)) for north in (60.0, 150.0, 250.0, 390.0)]
     assert along == sorted(along)
-    assert along[0] == pytest.approx(math.log(LEAST_ODDS))
+    assert along[0] == pytest.approx(math.log(MIN_ODDS))
     assert along[-1] > math.log(0.9)
 
 

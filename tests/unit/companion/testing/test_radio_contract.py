@@ -108,7 +108,7 @@ def test_a_value_that_a_checksum_should_have_stopped_is_found() -> None:
 
 
 def test_a_slow_decoder_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(radio_contract, "MOST_NOISE_S", 0.0)
+    monkeypatch.setattr(radio_contract, "MAX_NOISE_S", 0.0)
     with pytest.raises(ContractError, match="bytes of any bytes take"):
         check_radio(kind_of(Metres), STREAM, READINGS)
 

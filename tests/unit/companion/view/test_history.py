@@ -10,7 +10,7 @@ import pytest
 from companion.geometry.polygons import Point
 from companion.view.history import (
     CURVE_POINTS,
-    MOST_CORNERS,
+    MAX_CORNERS,
     TOLERANCE_M,
     CurveHistory,
     FlightTrack,
@@ -72,7 +72,7 @@ def test_a_flight_of_hours_keeps_its_beginning_as_well_as_its_end() -> None:
     track, positions = FlightTrack(), crossings(400)
     for number, (east_m, north_m) in enumerate(positions):
         track.add((east_m + 0.02 * number, north_m))
-    assert len(track.items) <= MOST_CORNERS
+    assert len(track.items) <= MAX_CORNERS
     first = [(east_m + 0.02 * n, north_m) for n, (east_m, north_m) in enumerate(positions[:400])]
     assert max(off_line_m(position, track.line[:400]) for position in first) < 4.0
 
@@ -116,7 +116,7 @@ def test_every_reader_gets_the_whole_however_late_it_comes() -> None:
             sent += len(part.items)
             assert mirror.items == track.items
     assert len(mirrors) == 2
-    assert sent < 20 * MOST_CORNERS
+    assert sent < 20 * MAX_CORNERS
 
 
 def test_a_part_that_was_lost_is_made_good() -> None:

@@ -13,7 +13,7 @@ from companion.guidance.session import GuidanceStatus
 from companion.view.snapshot import next_step
 from tests.loop.loop_helpers import Loop
 
-MOST_WORDS = 20
+MAX_WORDS = 20
 """Maximum number of words in a text; a longer one is not read in flight."""
 
 
@@ -36,7 +36,7 @@ def status_of(loop: Loop, **changes: object) -> GuidanceStatus:
 def test_every_phase_has_a_short_sentence_of_its_own(flown: Loop, phase: Phase) -> None:
     text = hint(flown, phase=phase, detail="")
     assert text.endswith(".")
-    assert len(text.split()) <= MOST_WORDS
+    assert len(text.split()) <= MAX_WORDS
     others = {hint(flown, phase=each, detail="") for each in Phase if each is not phase}
     assert text not in others
 
@@ -87,4 +87,4 @@ def test_where_a_grant_is_needed_it_says_how(flown: Loop) -> None:
     flown.companion.session.authority.demand_grant("failsafe")
     text = hint(flown, phase=Phase.YIELD)
     assert GRANT_HOW in text
-    assert len(text.split()) <= MOST_WORDS
+    assert len(text.split()) <= MAX_WORDS

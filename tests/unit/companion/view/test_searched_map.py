@@ -12,7 +12,7 @@ import pytest
 
 from companion.area_handoff import png_of
 from companion.geometry.coordinates import LocalOrigin
-from companion.search.search_grid import MOST_CELLS, SearchGrid, WeightedArea, grid_over
+from companion.search.search_grid import MAX_CELLS, SearchGrid, WeightedArea, grid_over
 from companion.search.searched_area import SearchState
 from companion.search.searched_flight import gaps_of
 from companion.view.history import PackedState, SearchedHistory, drawn
@@ -82,7 +82,7 @@ def test_the_map_stays_on_the_ground_when_the_origin_moves() -> None:
 
 
 def test_the_largest_grid_is_small_enough_for_the_pipe() -> None:
-    side_m = 20.0 * MOST_CELLS**0.5
+    side_m = 20.0 * MAX_CELLS**0.5
     square = WeightedArea(((0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m)))
     grid = grid_over([square], 20.0)
     east, north = grid.centres_enu_m.T

@@ -56,6 +56,6 @@ def test_who_may_not_look_gets_no_page(access: Access, query: str, host: str, st
 
 
 def test_too_many_browsers_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "MOST_PAGES", 0)
+    monkeypatch.setattr(server, "MAX_PAGES", 0)
     assert answer(OPEN)[0] == 503
     assert answer(OPEN, path="/tiles/1/2/3.png")[0] == 200

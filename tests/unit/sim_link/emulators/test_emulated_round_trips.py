@@ -16,7 +16,7 @@ import pytest
 from companion.domain import RangingMeasurement
 from companion.geometry.coordinates import wrap_pi
 from companion.link.radio_stage import RadioStage
-from companion.radios.power_scans import LEAST_DBM
+from companion.radios.power_scans import MIN_DBM
 from sim_link.emulators.catalogue import EMULATORS, make_emulator
 from sim_link.emulators.emulator import Answer, Round
 from tests.radio_formats import ALL, FORMAT_OF, POWERS, Format
@@ -48,7 +48,7 @@ def drawn(rng: np.random.Generator, sent_at_s: float, *, is_array: bool) -> Rang
         elevation_sigma_rad=0.1,
         is_array_angle=is_array,
         quality=float(rng.uniform(0.4, 1.0)),
-        power_dbm=float(rng.uniform(LEAST_DBM, -30.0)),
+        power_dbm=float(rng.uniform(MIN_DBM, -30.0)),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from sim_link.autopilot.incidents import ClockRate, ClockSlip
 from tools.campaign.clock_trials import (
-    MOST_SLIPS,
+    MAX_SLIPS,
     RATES,
     SLIPS_S,
     faults_of,
@@ -29,7 +29,7 @@ def test_a_seed_draws_a_rate_and_slips_and_the_same_ones_again() -> None:
         counts.add(len(slips))
         steps |= {slip.step_s for slip in slips if isinstance(slip, ClockSlip)}
     assert (rates, steps) == (set(RATES), set(SLIPS_S))
-    assert counts == set(range(1, MOST_SLIPS + 1))
+    assert counts == set(range(1, MAX_SLIPS + 1))
 
 
 def test_a_hold_lasts_until_the_plan_is_flown_or_the_flight_ends() -> None:

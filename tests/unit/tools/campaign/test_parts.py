@@ -16,7 +16,7 @@ from tools.campaign.endurance import Usage, random_frames
 from tools.campaign.flights import Trial
 from tools.campaign.link_trials import Gaps, pauses_of
 from tools.campaign.process_trials import damages
-from tools.campaign.random_missions import MOST_FAULTS, mission_case
+from tools.campaign.random_missions import MAX_FAULTS, mission_case
 from tools.campaign.runner import PARTS, run_one
 
 SMALL = {"gaps": 0.003, "forged": 0.1, "fuzz": 0.05, "soak": 0.01}
@@ -60,7 +60,7 @@ def test_random_missions_meet_every_fault_autopilot_and_planner() -> None:
     assert len({case.config.planner.flown for case in cases}) == 5
     searches = {case.config.planner.search for case in cases}
     assert searches == {None, "lawnmower", "expanding_square", "sector", "probability"}
-    assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MOST_FAULTS + 1))
+    assert {len(case.schedule.faults) - 2 for case in cases} == set(range(1, MAX_FAULTS + 1))
     assert max(case.config.limits.speed_mps for case in cases) == 10.0
     assert 0.2 < sum(case.is_signed for case in cases) / len(cases) < 0.4
     assert mission_case(7) == mission_case(7)

@@ -10,7 +10,7 @@ from companion.estimation.tracker import FusionReport, TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.guidance.measurements import (
     BEGIN_ROWS,
-    MOST_QUEUED,
+    MAX_QUEUED,
     WAKE_ROWS,
     FusionQueue,
     Queued,
@@ -89,14 +89,14 @@ def test_the_others_take_turns() -> None:
 
 def test_of_too_many_the_oldest_that_is_not_begun_gives_way() -> None:
     worker = Worker()
-    assert not any(worker.add(1, float(number)) for number in range(MOST_QUEUED))
+    assert not any(worker.add(1, float(number)) for number in range(MAX_QUEUED))
     worker.wake()
     assert worker.add(1, 999.0)
-    assert len(worker.queue) == MOST_QUEUED
+    assert len(worker.queue) == MAX_QUEUED
     while len(worker.queue):
         worker.wake()
     seen = list(dict.fromkeys(now_s for _, now_s in worker.noted))
-    assert seen == [0.0, *(float(number) for number in range(2, MOST_QUEUED)), 999.0]
+    assert seen == [0.0, *(float(number) for number in range(2, MAX_QUEUED)), 999.0]
 
 
 @pytest.mark.parametrize("is_begun", [True, False])
@@ -106,14 +106,14 @@ def test_more_emitters_than_places_leave_none_without_a_measurement(is_begun: bo
     worker.add(0, 0.0)
     if is_begun:
         worker.wake()
-    for number in range(1, 2 * MOST_QUEUED):
+    for number in range(1, 2 * MAX_QUEUED):
         worker.add(number, float(number))
-    assert len(worker.queue) == MOST_QUEUED
-    finished = sum(worker.wake() for _ in range(4 * MOST_QUEUED))
-    assert finished == MOST_QUEUED
+    assert len(worker.queue) == MAX_QUEUED
+    finished = sum(worker.wake() for _ in range(4 * MAX_QUEUED))
+    assert finished == MAX_QUEUED
     assert len(worker.queue) == 0
     assert ((0, 0.0) in worker.noted) is is_begun
-    assert (2 * MOST_QUEUED - 1, 2.0 * MOST_QUEUED - 1.0) in worker.noted
+    assert (2 * MAX_QUEUED - 1, 2.0 * MAX_QUEUED - 1.0) in worker.noted
 
 
 def test_what_makes_a_filter_fail_is_not_tried_again() -> None:

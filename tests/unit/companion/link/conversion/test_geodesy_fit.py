@@ -10,7 +10,7 @@ import pytest
 
 from companion.domain import PositionEnu
 from companion.geometry.coordinates import LocalOrigin, Projection
-from companion.link.conversion.geodesy_fit import FEWEST_PAIRS, LEAST_OFF_M, GeodesyFit
+from companion.link.conversion.geodesy_fit import MIN_OFF_M, MIN_PAIRS, GeodesyFit
 
 REPORTED = LocalOrigin(47.397742, 8.545594, 488.0, Projection.SPHERE)
 GLOBAL_PERIOD_S = 0.5
@@ -68,7 +68,7 @@ def test_another_projection_is_known_by_where_it_is_flown_and_holds_far_away(
     projection: Projection,
 ) -> None:
     true, fit = replace(REPORTED, projection=projection), GeodesyFit(REPORTED)
-    assert off_m(fit, true, (120.0, 30.0, 0.0)) > LEAST_OFF_M
+    assert off_m(fit, true, (120.0, 30.0, 0.0)) > MIN_OFF_M
     assert flown(fit, true) >= 1
     for position in ((120.0, 30.0, 0.0), (-60.0, 90.0, 0.0), (700.0, -700.0, 20.0)):
         assert off_m(fit, true, position) < 0.02
@@ -97,7 +97,7 @@ def test_a_few_pairs_prove_nothing_and_two_frames_cannot_be_fitted() -> None:
         REPORTED.latitude_deg + 3e-5, REPORTED.longitude_deg, 488.0, Projection.SPHERE
     )
     few = GeodesyFit(REPORTED)
-    assert flown(few, true, seconds=0.5 * (FEWEST_PAIRS - 2)) == 0
+    assert flown(few, true, seconds=0.5 * (MIN_PAIRS - 2)) == 0
     elsewhere, fit = replace(REPORTED, latitude_deg=48.0), GeodesyFit(REPORTED)
     assert flown(fit, elsewhere) == 0
     assert fit.origin == REPORTED

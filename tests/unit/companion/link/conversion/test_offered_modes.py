@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from companion.domain import Autopilot
-from companion.link.inbound import MOST_ASKS, OfferedModes
+from companion.link.inbound import MAX_REQUESTS, OfferedModes
 from companion.mav.dialect import mavlink
 
 TARGET = (1, 1)
@@ -24,7 +24,7 @@ def asked(modes: OfferedModes, seconds: float, autopilot: Autopilot = Autopilot.
 
 def test_only_an_ardupilot_is_asked_and_one_that_refuses_a_few_times() -> None:
     assert asked(OfferedModes(), 60.0, Autopilot.PX4) == 0
-    assert asked(OfferedModes(), 60.0) == MOST_ASKS
+    assert asked(OfferedModes(), 60.0) == MAX_REQUESTS
 
 
 def test_an_incomplete_list_is_asked_for_again_and_a_whole_one_is_not() -> None:
@@ -65,4 +65,4 @@ def test_the_number_itself_asks_for_a_list_that_was_answered_without_it() -> Non
     modes.receive(listed(4, 1, 1))
     assert asked(modes, 60.0) == 0
     modes.receive(shown(30))
-    assert asked(modes, 60.0) == MOST_ASKS
+    assert asked(modes, 60.0) == MAX_REQUESTS
