@@ -56,7 +56,7 @@ from companion.io.files import (
 from companion.io.flight_recorder import FlightJournal
 from companion.link.endpoint import CompanionEndpoint
 from companion.search.searched_area import SearchState
-from companion.search.searched_flight import SearchedFlight, searched_again, statement
+from companion.search.searched_flight import SearchedFlight, combined_area, statement
 
 log = logging.getLogger("companion.run")
 
@@ -348,7 +348,7 @@ class SearchKeeper(WriterThread[Snapshot]):
         began_s = time.monotonic()
         flight, state = batch[-1]
         if flight.learnt is not None:  # on this thread: it takes seconds
-            state = searched_again([flight])
+            state = combined_area([flight])
         self._journal.result_of_search(result_fields(flight, state))
         for name, content in area_files(flight, state).items():
             try:

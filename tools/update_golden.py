@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--fly", action="store_true", help="fly again instead of replaying")
     arguments = parser.parse_args()
     golden_flights.FOLDER.mkdir(parents=True, exist_ok=True)
-    courses = golden_flights.load_courses() if golden_flights.COURSES.exists() else {}
+    outputs = golden_flights.load_outputs() if golden_flights.OUTPUTS.exists() else {}
     for name in arguments.names or list(golden_flights.PLANS):
         path = golden_flights.FOLDER / f"{name}{golden_flights.SUFFIX}"
         if arguments.fly or not path.exists():
@@ -40,18 +40,18 @@ def main() -> None:
                     golden_flights.fly(golden_flights.PLANS[name], Path(directory)), path
                 )
         before, now = (
-            courses.get(name),
-            golden_flights.GoldenCourse.of(golden_flights.replayed(golden_flights.load(path))),
+            outputs.get(name),
+            golden_flights.GoldenOutput.of(golden_flights.replayed(golden_flights.load(path))),
         )
         word = "as it was" if now == before else "new" if before is None else "CHANGED"
-        courses[name] = now
+        outputs[name] = now
         size_kb = path.stat().st_size / 1000.0
         print(
             f"{name:<18} {word:<9} {now.estimates:>4} estimates {now.setpoints:>5} setpoints "
             f"{size_kb:6.1f} kB"
         )
-    golden_flights.save_courses(
-        {name: courses[name] for name in golden_flights.PLANS if name in courses}
+    golden_flights.save_outputs(
+        {name: outputs[name] for name in golden_flights.PLANS if name in outputs}
     )
 
 

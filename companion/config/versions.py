@@ -18,7 +18,7 @@ KEY = "schema_version"
 
 
 @dataclass(frozen=True, slots=True)
-class Gone:
+class Removed:
     """A key without a successor."""
 
     advice: str = ""
@@ -78,54 +78,56 @@ def _merge_patterns(planner: dict[str, Any]) -> list[str]:
 
 
 _OF_RADIO = "set {} in the radio's `settings` instead"
-GONE: Mapping[str, Gone] = {
-    "emitters.most": Gone("delete it: the limit is 8, or the number of listed ids", 8),
-    "mission.coast_drift_mps": Gone(default=1.0),
-    "mission.coast_sigma_max_m": Gone(default=30.0),
-    "estimation.adaptation": Gone(
+REMOVED_KEYS: Mapping[str, Removed] = {
+    "emitters.most": Removed("delete it: the limit is 8, or the number of listed ids", 8),
+    "mission.coast_drift_mps": Removed(default=1.0),
+    "mission.coast_sigma_max_m": Removed(default=30.0),
+    "estimation.adaptation": Removed(
         "delete it: noise is no longer learnt by EM, R95 follows the innovations as before"
     ),
-    "planner.reactive_crossing": Gone(
+    "planner.reactive_crossing": Removed(
         "delete it: that planner is for studies only; flights use latched_crossing",
         {"step_m": 5.0, "crossing_distance_m": 20.0, "stop_distance_m": 0.0},
     ),
-    "estimation.initial_inflation": Gone(default=4.0),
-    "estimation.adapt_inflation": Gone(default=True),
-    "estimation.range_gross_k": Gone("set filter.range_k_short instead", 6.0),
-    "estimation.acceptance.max_range_m": Gone(_OF_RADIO.format("range_max_m"), 2000.0),
-    "estimation.acceptance.max_age_s": Gone(_OF_RADIO.format("max_age_s"), 1.0),
-    "estimation.hypotheses.nearest_m": Gone(default=3.0),
-    "estimation.window.enabled": Gone(default=True),
-    "estimation.window.size": Gone(default=512),
-    "estimation.window.every": Gone(default=25),
-    "estimation.window.starts": Gone(default=12),
-    "estimation.filter.elevation_sigma_deg": Gone(_OF_RADIO.format("elevation_sigma_deg"), 5.0),
-    "estimation.filter.use_elevation": Gone(
+    "estimation.initial_inflation": Removed(default=4.0),
+    "estimation.adapt_inflation": Removed(default=True),
+    "estimation.range_gross_k": Removed("set filter.range_k_short instead", 6.0),
+    "estimation.acceptance.max_range_m": Removed(_OF_RADIO.format("range_max_m"), 2000.0),
+    "estimation.acceptance.max_age_s": Removed(_OF_RADIO.format("max_age_s"), 1.0),
+    "estimation.hypotheses.nearest_m": Removed(default=3.0),
+    "estimation.window.enabled": Removed(default=True),
+    "estimation.window.size": Removed(default=512),
+    "estimation.window.every": Removed(default=25),
+    "estimation.window.starts": Removed(default=12),
+    "estimation.filter.elevation_sigma_deg": Removed(_OF_RADIO.format("elevation_sigma_deg"), 5.0),
+    "estimation.filter.use_elevation": Removed(
         "delete it, and set elevation_sigma_deg: 90 in the radio's `settings`", True
     ),
-    "estimation.filter.range_scale_min": Gone(
+    "estimation.filter.range_scale_min": Removed(
         "delete it: range_scale_max bounds the scale to both sides"
     ),
-    "estimation.filter.stamp_lag_s": Gone(_OF_RADIO.format("lag_s"), 0.0),
-    "estimation.filter.near_target_terms": Gone(default=True),
-    "planner.latched_crossing.arrival_radius_m": Gone(default=1.5),
-    "planner.latched_crossing.reaim_distance_m": Gone(default=3.0),
-    "planner.latched_crossing.overshoot_sigmas": Gone(default=3.0),
-    **dict.fromkeys((f"planner.{each}.arrival_radius_m" for each in _PATTERNS), Gone(default=1.5)),
-    "planner.lawnmower.start_corner": Gone(
+    "estimation.filter.stamp_lag_s": Removed(_OF_RADIO.format("lag_s"), 0.0),
+    "estimation.filter.near_target_terms": Removed(default=True),
+    "planner.latched_crossing.arrival_radius_m": Removed(default=1.5),
+    "planner.latched_crossing.reaim_distance_m": Removed(default=3.0),
+    "planner.latched_crossing.overshoot_sigmas": Removed(default=3.0),
+    **dict.fromkeys(
+        (f"planner.{each}.arrival_radius_m" for each in _PATTERNS), Removed(default=1.5)
+    ),
+    "planner.lawnmower.start_corner": Removed(
         "delete it: a lawnmower begins at the nearest corner", "nearest"
     ),
-    "planner.fim.step_m": Gone(default=5.0),
-    "planner.fim.headings": Gone(default=16),
-    "planner.fim.range_offset_sigma_m": Gone(default=5.0),
-    "planner.fim.bearing_offset_sigma_deg": Gone(default=5.0),
-    "planner.fim.near_target_terms": Gone(default=True),
-    "limits.step_m": Gone(default=8.0),
-    "limits.navigation_sigma_m": Gone(
+    "planner.fim.step_m": Removed(default=5.0),
+    "planner.fim.headings": Removed(default=16),
+    "planner.fim.range_offset_sigma_m": Removed(default=5.0),
+    "planner.fim.bearing_offset_sigma_deg": Removed(default=5.0),
+    "planner.fim.near_target_terms": Removed(default=True),
+    "limits.step_m": Removed(default=8.0),
+    "limits.navigation_sigma_m": Removed(
         "delete it: raise fence_margin_m and altitude_min_m instead", 0.3
     ),
-    "link.lossy_rate_hz": Gone("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
-    "link.lossy_share": Gone(default=0.2),
+    "link.lossy_rate_hz": Removed("delete it: it is 50; rate_hz is the rate elsewhere", 50.0),
+    "link.lossy_share": Removed(default=0.2),
 }
 """Keys of schema 1 absent from schema 2, by path; only the former default is accepted."""
 
@@ -150,9 +152,9 @@ def renew(raw: dict[str, Any], name: str) -> list[str]:
 
 def _drop(raw: dict[str, Any], name: str) -> list[str]:
     """Delete removed keys that had their default, and sections that become empty."""
-    dropped = [path for path in GONE if is_in(raw, path)]
+    dropped = [path for path in REMOVED_KEYS if is_in(raw, path)]
     for path in dropped:
-        gone = GONE[path]
+        gone = REMOVED_KEYS[path]
         if _pop(raw, path) != gone.default:
             advice = gone.advice or f"delete it: it is fixed at {gone.default}"
             raise ConfigError(f"{name}: $.{path}: removed in schema 2; {advice}")

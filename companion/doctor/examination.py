@@ -265,8 +265,8 @@ def _no_autopilot(link: LinkFacts, config: CompanionConfig) -> CheckResult:
         heard = ", ".join(str(number) for number in link.other_autopilots)
         fix = f"set vehicle.system_id ({config.vehicle.system_id}) to one of them"
         return fail("autopilot", f"{text}, but system {heard}", fix)
-    if link.unfit:
-        heard = ", ".join(link.unfit)
+    if link.non_autopilots:
+        heard = ", ".join(link.non_autopilots)
         return fail(
             "autopilot", f"{text}, but {heard}", "none of these is an autopilot: check its link"
         )

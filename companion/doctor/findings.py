@@ -92,7 +92,7 @@ class LinkFacts:
     other_autopilots: tuple[int, ...]
     other_companions: tuple[int, ...]
     """System ids under which another component with the companion's id sent."""
-    unfit: tuple[str, ...]
+    non_autopilots: tuple[str, ...]
     """Senders that are not autopilots: ids and kind."""
     bytes_received: int
     bad_frames: int

@@ -53,7 +53,7 @@ from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mo
 from companion.mav.payloads import ParamEncoding, ParamType, raw_of, value_from_raw
 
 HEARTBEAT_PERIOD_S = 1.0
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 """Longest wait for an autopilot."""
 SETTLE_S = 2.5
 """Time from the first frame until streams have the requested rates."""
@@ -124,7 +124,7 @@ class DoctorProbe(OneShotEndpoint):
                 self._receive_message(message, chunk, now_s)
         unknown, ids = self._codec.splitter.take_unknown(), self._binding.bound
         if ids is not None and chunk.peer == self._binding.peer:
-            self._sequence.excuse(sum(sender_of(frame) == ids.ids for frame in unknown))
+            self._sequence.exclude(sum(sender_of(frame) == ids.ids for frame in unknown))
 
     def handle_timer(self, now_s: float) -> None:
         """Send requests that are due."""
@@ -154,7 +154,7 @@ class DoctorProbe(OneShotEndpoint):
         if self._is_stopped:
             return True
         if self._bound_s is None:
-            return self._began_s is not None and self.now_s - self._began_s > PATIENCE_S
+            return self._began_s is not None and self.now_s - self._began_s > TIMEOUT_S
         is_counted = self.now_s - self._bound_s >= SETTLE_S + self._count_s
         is_answered = not any(question.is_open for question in self._requests)
         return is_counted and is_answered and self._fence is not None
@@ -169,7 +169,7 @@ class DoctorProbe(OneShotEndpoint):
             autopilot=None if self._binding.system_id is None else self._autopilot_facts(),
             other_autopilots=tuple(sorted(self._autopilots - {self._binding.system_id})),
             other_companions=tuple(sorted(self._companions)),
-            unfit=tuple(self._binding.candidates.unfit_names()),
+            non_autopilots=tuple(self._binding.candidates.non_autopilot_names()),
             bytes_received=self._bytes,
             bad_frames=self._codec.counters.bad_crc + self._codec.undecodable,
             unproved_frames=self._codec.unproved,

@@ -150,7 +150,7 @@ class UnitCheck:
         self._rejected_m = 0.0
         self.factor: float | None = None
         """Factor that the ranges seem to be multiplied by; None: no evidence for another than 1."""
-        self.is_wild = False
+        self.is_scattered = False
         """True if ranges scatter by more than guidance may use."""
         self.is_rejected = False
         """True if ranges must not be used, for either of the two reasons."""
@@ -165,11 +165,11 @@ class UnitCheck:
             factor, log_ratio = self._likeliest(window, FACTORS, DECISION_LOG_ODDS)
             if log_ratio >= DECISION_LOG_ODDS:
                 self.factor = factor
-            self.is_wild = self._is_wild(window)
+            self.is_scattered = self._is_scattered(window)
             self._rejected_s, self._rejected_m = now_s, middle_m
         elif samples[0].time_s > self._rejected_s:
             self._reconsider(window, middle_m)
-        self.is_rejected = self.factor is not None or self.is_wild
+        self.is_rejected = self.factor is not None or self.is_scattered
 
     def _reconsider(self, window: _Window, middle_m: float) -> None:
         """Accept ranges again when metres are more probable, or when their size has changed."""
@@ -178,8 +178,8 @@ class UnitCheck:
             if log_ratio <= 0.0:
                 self.factor = None
         # half way, as a ratio, to the largest ranges of another unit
-        if self.is_wild and middle_m < self._rejected_m * math.sqrt(max(FACTORS)):
-            self.is_wild = self._is_wild(window)
+        if self.is_scattered and middle_m < self._rejected_m * math.sqrt(max(FACTORS)):
+            self.is_scattered = self._is_scattered(window)
 
     def _likeliest(
         self, window: _Window, factors: tuple[float, ...], limit: float
@@ -247,7 +247,7 @@ class UnitCheck:
         cost: Matrix = 0.5 * (below**2 + above**2)
         return cost
 
-    def _is_wild(self, window: _Window) -> bool:
+    def _is_scattered(self, window: _Window) -> bool:
         """Return True if the quartiles are farther apart than the vehicle's motion explains."""
         most_m = WILD_M + self._params.range_step_m
         if float(np.ptp(window.range_m)) <= most_m:

@@ -164,7 +164,7 @@ class Guard:
             reasons.append(GuardReason.OUTSIDE)
         return Guarded((*motion.position_enu_m[:2], up_m), tuple(reasons))
 
-    def stand(self, position_enu_m: Position) -> Guarded:
+    def freeze(self, position_enu_m: Position) -> Guarded:
         """Return the setpoint "do not move", even outside; `ValueError`: no finite position."""
         if not _are_finite(position_enu_m):
             raise ValueError("the position to hold is not a number")

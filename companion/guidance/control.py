@@ -10,7 +10,7 @@ from companion.guidance.commands import SendHeartbeat, SendSetpoint, Severity, T
 from companion.guidance.context import SessionContext
 from companion.guidance.control_authority import FOLLOW_UP_S, Finding, Reason, Verdict
 from companion.guidance.handover import Handover
-from companion.guidance.health.autopilot_health import PATIENCE_S
+from companion.guidance.health.autopilot_health import HAND_BACK_AFTER_S
 from companion.guidance.health.watches import Watches
 from companion.guidance.launch import LaunchView
 from companion.guidance.measurements import EmitterScheduler
@@ -60,7 +60,7 @@ class StandstillWatch:
             self._stood_enu_m, self._away_since_s, self._is_announced = position, now_s, False
         if setpoint is None or math.dist(position, setpoint) <= REACHED_M:
             self._away_since_s = now_s
-        slowest_s = PATIENCE_S + REACHED_M / context.guard.limits.envelope.speed_mps
+        slowest_s = HAND_BACK_AFTER_S + REACHED_M / context.guard.limits.envelope.speed_mps
         if not self._is_announced and now_s - self._away_since_s > slowest_s:
             self._is_announced = True
             context.warn("vehicle does not follow: paused? reselect the mode")
@@ -293,9 +293,9 @@ class ControlTick:
             case Phase.STANDBY | Phase.LAUNCHING if vehicle.is_ours:
                 # granted before the mode was left, or an input is missing: following the vehicle
                 # would follow its drift
-                return steering.stay(motion, dt_s)
+                return steering.hold(motion, dt_s)
             case Phase.STANDBY | Phase.LAUNCHING:
-                return steering.stay_with(motion)
+                return steering.hold_at_vehicle(motion)
             case Phase.NORMAL | Phase.DEGRADED:
                 limit_mps = context.guard.limits.envelope.speed_mps
                 cap_mps = limit_mps * self._watches.inputs.speed_share(now_s)
@@ -304,8 +304,8 @@ class ControlTick:
                 if steering.setpoint_enu_m is None and not is_fresh:
                     return None  # the only known position is out of date
                 if self._watches.jumps.is_in_doubt or not is_fresh:
-                    return steering.stand(motion)
-                return steering.stay(motion, dt_s)
+                    return steering.freeze(motion)
+                return steering.hold(motion, dt_s)
         return None
 
     def _is_silence_due(self, now_s: float) -> bool:

@@ -117,11 +117,11 @@ class Authority:
         if left is not Phase.YIELD:
             self._must_leave_offboard = True
 
-    def demand_grant(self, reason: str) -> None:
+    def require_grant(self, reason: str) -> None:
         """Require a grant although the mode was left by choice."""
         self.grant_reason = self.grant_reason or reason
 
-    def demand_another_mode(self) -> None:
+    def require_another_mode(self) -> None:
         """Require another mode first: an earlier process may have left the vehicle in offboard."""
         self._must_leave_offboard = True
 
@@ -164,7 +164,7 @@ class Authority:
         if self.phase is Phase.FINISHED and not (heartbeat.is_armed and is_offboard):
             self.has_left_offboard = True
         if self.phase is Phase.YIELD and heartbeat.is_armed and heartbeat.is_failsafe:
-            self.demand_grant(FAILSAFE_REASON)
+            self.require_grant(FAILSAFE_REASON)
         if not self._has_heartbeat:
             self._has_heartbeat = True
             self._must_leave_offboard |= self._other_mode_since_s is None
@@ -184,7 +184,7 @@ class Authority:
         """Note that another system sends under our ids and may have caused offboard mode."""
         self._id_conflict_s = now_s
         if self.phase is Phase.YIELD:
-            self.demand_grant(ID_CONFLICT_REASON)
+            self.require_grant(ID_CONFLICT_REASON)
         is_offboard = self._newest is not None and self._newest.mode is FlightMode.OFFBOARD
         if is_offboard and self.phase in (*OUT_OF_CONTROL, Phase.STANDBY):
             self._must_leave_offboard = True

@@ -140,7 +140,7 @@ class Handover:
         # Echoes after the last HEARTBEAT in offboard may be targets of the mode chosen since.
         shown_s = context.authority.offboard_shown_s
         if finding and finding.reason is Reason.SECOND_SOURCE and finding.since_s <= shown_s:
-            context.authority.demand_grant(GRANT_REASONS[Trigger.CONTENTION])
+            context.authority.require_grant(GRANT_REASONS[Trigger.CONTENTION])
         text = f"control lost: autopilot went to {name}"
         if context.authority.grant_reason is None:
             text += f"; ready again after {REGAIN_QUIET_S:g} s in that mode"
@@ -317,7 +317,7 @@ class Handover:
         requested again once the mode is confirmed.
         """
         context = self._context
-        context.vehicle.distrust(event.time_s)
+        context.vehicle.invalidate(event.time_s)
         context.steering.forget_setpoint()
         context.withdraw()
         self._asked_s = None

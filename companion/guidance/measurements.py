@@ -42,7 +42,7 @@ from companion.guidance.vehicle_track import VehicleTrack
 
 MAX_WAITING = 64
 """Measurements that may wait for a vehicle position at their time; the oldest is dropped."""
-PATIENCE_S = 0.25
+POSITION_WAIT_S = 0.25
 WAKE_ROWS = 20_000
 """Measurements that the steps of one wake-up process: a tenth of a control period, 5 ms."""
 BEGIN_ROWS = 4_000
@@ -167,7 +167,7 @@ class RangingListener:
             is_covered = latest is not None and measurement.measured_at_s <= latest.time_s
             if is_covered and self._needs_attitude and measurement.bearing_body_rad is not None:
                 is_covered = self._has_attitude(measurement)
-            is_recent = abs(now_s - measurement.measured_at_s) <= PATIENCE_S
+            is_recent = abs(now_s - measurement.measured_at_s) <= POSITION_WAIT_S
             (waiting if is_recent and not is_covered else due).append(measurement)
         self.waiting = waiting
         return due
@@ -263,7 +263,7 @@ class Measuring:
         self._listener = RangingListener(context.emitters, context.vehicle.track)
         self._queue = FusionQueue(self._listener.fusion)
         self._ticks_behind = 0
-        """Control ticks since `go_on`, with measurements left to be fused."""
+        """Control ticks since `continue_fusing`, with measurements left to be fused."""
 
     def receive(self, measurement: RangingMeasurement, now_s: float) -> None:
         """Queue a measurement, and fuse within the steps of this wake-up."""
@@ -299,7 +299,7 @@ class Measuring:
         except Exception as error:
             self._contain(error, now_s)
 
-    def go_on(self, now_s: float) -> None:
+    def continue_fusing(self, now_s: float) -> None:
         """Fuse within the steps of another wake-up."""
         self._ticks_behind = 0
         self._queue.left = WAKE_ROWS

@@ -248,20 +248,20 @@ class Steering:
         """Start the next setpoint at the vehicle's position."""
         self._last = None
 
-    def stay_with(self, motion: Motion) -> PositionSetpoint:
+    def hold_at_vehicle(self, motion: Motion) -> PositionSetpoint:
         """Hold at the vehicle's current position, following it while the pilot flies."""
         return self._keep(self._guard.here(motion))
 
-    def stand(self, motion: Motion) -> PositionSetpoint:
+    def freeze(self, motion: Motion) -> PositionSetpoint:
         """Keep the setpoint still, even outside the fence: the vehicle position may be wrong."""
         last = self._last
         position_enu_m = motion.position_enu_m if last is None else last.position_enu_m
-        return self._keep(self._guard.stand(position_enu_m))
+        return self._keep(self._guard.freeze(position_enu_m))
 
-    def stay(self, motion: Motion, dt_s: float) -> PositionSetpoint:
+    def hold(self, motion: Motion, dt_s: float) -> PositionSetpoint:
         """Hold at the position where holding began."""
         if self._last is None:
-            return self.stay_with(motion)
+            return self.hold_at_vehicle(motion)
         return self._keep(self._guard.hold(self._last, motion, dt_s))
 
     def follow(
@@ -274,7 +274,7 @@ class Steering:
         """Move one tick towards the waypoint at its altitude; without a waypoint, hold."""
         last = self._last
         if last is None or waypoint is None:
-            return self.stay(motion, dt_s)
+            return self.hold(motion, dt_s)
         east, north = waypoint.position_enu_m
         home_up_m = motion.home_enu_m[2]
         floor_m = home_up_m + self._guard.limits.envelope.altitude_min_m

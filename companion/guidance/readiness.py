@@ -35,7 +35,7 @@ from companion.guidance.fencing import Fencing
 from companion.guidance.messages import radii_of, radius_fields
 from companion.guidance.phases import HAS_VEHICLE, Phase, Trigger
 from companion.guidance.vehicle import (
-    LANDED_PATIENCE_S,
+    LANDED_TIMEOUT_S,
     LINK_LOST_S,
     MODE_UNKNOWN_AFTER_S,
     ORIGIN_STEP_M,
@@ -55,7 +55,7 @@ class Requirement:
     message: str
     """MAVLink message that provides it."""
     is_met: Callable[[VehicleView, Fencing, float], bool]
-    patience_s: float = math.inf
+    timeout_s: float = math.inf
     """Seconds after its last message until it is missing; inf: once known, it stays known."""
     only_for: Autopilot | None = None
     """The only kind of autopilot that has to provide it; None: all kinds."""
@@ -100,7 +100,7 @@ REQUIREMENTS = (
         lambda vehicle, _, now_s: (
             vehicle.landed is not LandedState.UNKNOWN and vehicle.is_landed_fresh(now_s)
         ),
-        LANDED_PATIENCE_S,
+        LANDED_TIMEOUT_S,
         only_for=Autopilot.ARDUPILOT,  # it ignores setpoints on the ground
     ),
     Requirement(
@@ -124,7 +124,7 @@ def missing_inputs(vehicle: VehicleView, fencing: Fencing, now_s: float) -> list
     ]
 
 
-MISSING_PATIENCE_S = 10.0
+ANNOUNCE_MISSING_S = 10.0
 """Inputs missing for less than this may still be starting up."""
 
 
@@ -163,13 +163,13 @@ class WaitingReason:
             return None
         if self._missing_since_s is None:
             self._missing_since_s = now_s
-        if now_s - self._missing_since_s < MISSING_PATIENCE_S:
+        if now_s - self._missing_since_s < ANNOUNCE_MISSING_S:
             return None
         return f"waiting for {' and '.join(missing)}"
 
 
 AIRBORNE = frozenset({LandedState.IN_AIR, LandedState.TAKEOFF, LandedState.LANDING})
-GROUND_PATIENCE_S = 10.0
+WARN_UNLANDED_S = 10.0
 """Longest time without a reported landed state before the operator is warned."""
 
 
@@ -205,7 +205,7 @@ class LaunchPermit:
         elif vehicle.landed is LandedState.UNKNOWN and vehicle.is_usable(now_s):
             if self._silent_since_s is None:
                 self._silent_since_s = now_s
-            if now_s - self._silent_since_s < GROUND_PATIENCE_S or self._is_silence_announced:
+            if now_s - self._silent_since_s < WARN_UNLANDED_S or self._is_silence_announced:
                 return
             self._is_silence_announced = True
             text = "no automatic takeoff: autopilot reports no landed state"
@@ -214,7 +214,7 @@ class LaunchPermit:
             self._silent_since_s = None
 
 
-ORIGIN_PATIENCE_S = 15.0
+ORIGIN_TIMEOUT_S = 15.0
 """Longest wait of a kept estimate for the origin of its frame."""
 
 
@@ -260,7 +260,7 @@ class Recollection:
         was = f"resumed after {age_s:.0f} s in {memory.phase.value}"
         context.announce(Severity.NOTICE, f"{was}: reselect the mode to fly")
         if memory.phase in HAS_VEHICLE:
-            context.authority.demand_another_mode()
+            context.authority.require_another_mode()
         if memory.phase is Phase.YIELD:
             context.enter(Trigger.YIELD_RECALLED, now_s)
         if memory.report is not None:
@@ -286,7 +286,7 @@ class Recollection:
                 self._reset_estimates(f"the local frame moved by {step_m:.0f} m")
             else:
                 self._resume(now_s)
-        elif now_s - self._recalled_s > ORIGIN_PATIENCE_S:
+        elif now_s - self._recalled_s > ORIGIN_TIMEOUT_S:
             self._reset_estimates("the autopilot does not report its origin")
 
     def forget(self) -> None:

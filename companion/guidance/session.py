@@ -132,7 +132,7 @@ class GuidanceSession:
         if isinstance(event, events.RangingReceived):
             self._measuring.receive(event.measurement, event.time_s)
         elif isinstance(event, events.TimeLeft):
-            self._measuring.go_on(event.time_s)
+            self._measuring.continue_fusing(event.time_s)
         elif isinstance(event, events.TimerFired):
             self.vehicle.heard_s = event.heard_s
             self.vehicle.mode_watch.tick(event.time_s)
@@ -195,7 +195,7 @@ class GuidanceSession:
                 self.context.announce(event.severity, event.text)
             case events.UncleanExitFound():
                 self.context.forbid_launch()
-                self.authority.demand_another_mode()
+                self.authority.require_another_mode()
             case events.MemoryRecalled():
                 self._recollection.recall(event.memory, event.age_s, event.time_s)
             case _:

@@ -86,9 +86,9 @@ class ModeWatch:
     def tick(self, now_s: float) -> None:
         """Mark the mode as unconfirmed after a long silence."""
         if not self.is_in_doubt and self._is_silent(now_s):
-            self.distrust(now_s)
+            self.invalidate(now_s)
 
-    def distrust(self, now_s: float) -> None:
+    def invalidate(self, now_s: float) -> None:
         """Mark the mode as unconfirmed: all messages so far are out of date."""
         self.is_in_doubt, self._since_s = True, now_s
 
@@ -128,7 +128,7 @@ STALE_STATE_S = 0.5
 """Longest age of a vehicle position that is used for guidance."""
 LINK_LOST_S = 1.0
 """Time without any valid frame of the autopilot after which the link is lost."""
-LANDED_PATIENCE_S = 3.5
+LANDED_TIMEOUT_S = 3.5
 """Longest age of EXTENDED_SYS_STATE, seven of the requested periods."""
 MIN_STEP_M = 0.05
 """Shorter moves are noise, not distance flown."""
@@ -202,9 +202,9 @@ class VehicleView:
         self.mode_watch.forget()
         self.position_accuracy = PositionAccuracyWatch()
 
-    def distrust(self, now_s: float) -> None:
+    def invalidate(self, now_s: float) -> None:
         """Wait for a new mode and position, because those received so far are out of date."""
-        self.mode_watch.distrust(now_s)
+        self.mode_watch.invalidate(now_s)
         self.track.clear()
 
     def forget_frame(self) -> None:
@@ -347,7 +347,7 @@ class VehicleView:
 
     def is_landed_fresh(self, now_s: float) -> bool:
         """Return True if the landed state was reported lately."""
-        return now_s - self._landed_s <= LANDED_PATIENCE_S
+        return now_s - self._landed_s <= LANDED_TIMEOUT_S
 
     def is_link_lost(self, now_s: float) -> bool:
         """Return True if no valid frame of the autopilot arrived for `LINK_LOST_S`."""

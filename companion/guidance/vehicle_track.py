@@ -77,7 +77,7 @@ class VehicleTrack:
             for time_s, attitude in self._attitudes
         )
 
-    def distrust(self, since_s: float, until_s: float) -> None:
+    def exclude(self, since_s: float, until_s: float) -> None:
         """Exclude positions and headings between these times from measurements."""
         earliest_s, latest_s = self._distrusted_s
         is_apart = latest_s < since_s

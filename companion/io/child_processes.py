@@ -164,7 +164,7 @@ WINDOW_S = 2.0
 """Real time over which the speed is judged: one stall of half a second does not change it."""
 MIN_SHARE = 0.75
 """Share of `speed` below which the rate that was reached is nearer to half of it."""
-PATIENCE_S = 5.0
+ASLEEP_AFTER_S = 5.0
 """Real time after which a process that does not wake up has ended, and is not waited for."""
 PEERS = 2
 _ANCHOR = struct.Struct("<5d")
@@ -247,13 +247,13 @@ class Pacer(SharedClock):
         flight_s = self._flight_s(wall_s)
         self._judge(wall_s, flight_s)
         woken_s = _WOKEN.unpack_from(self._memory, _ANCHOR.size)
-        asleep_s = [wall_s - at_s for at_s in woken_s if at_s > wall_s - PATIENCE_S]
+        asleep_s = [wall_s - at_s for at_s in woken_s if at_s > wall_s - ASLEEP_AFTER_S]
         is_overdue = max(asleep_s, default=0.0) > LEEWAY_S / self.speed
         rate = 0.0 if is_overdue else self.speed
         self._memory[: _ANCHOR.size] = _anchored(wall_s, flight_s, rate, self.speed)
         return self._counted_s(flight_s)
 
-    def excuse(self) -> None:
+    def exclude_others(self) -> None:
         """Exclude all other processes from the waiting until they wake up again."""
         _WOKEN.pack_into(self._memory, _ANCHOR.size, *[0.0] * PEERS)
 

@@ -168,7 +168,7 @@ class FenceDownload:
             self._again_s = -math.inf
         return before is not None and before != self._parameters[name]
 
-    def hurry(self) -> None:
+    def skip_pause(self) -> None:
         """Cancel the pause before the next reading."""
         self._rest_until_s = -math.inf
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from companion.domain import Autopilot
 from companion.guidance.commands import Announce, Severity
 from companion.guidance.fencing import Fencing
-from companion.guidance.vehicle import LANDED_PATIENCE_S
+from companion.guidance.vehicle import LANDED_TIMEOUT_S
 from companion.link.autopilot_fence import (
     FENCE_IDS,
     FenceDownload,
@@ -41,11 +41,11 @@ from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, ma
 SMOOTHING = 0.2
 """Weight of a new gap in the exponential mean."""
 
-PATIENCE_S: dict[int, tuple[str, float]] = {
+STALE_AFTER_S: dict[int, tuple[str, float]] = {
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", 0.5),
     mavlink.MAVLINK_MSG_ID_ATTITUDE: ("attitude", 1.0),
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: ("heartbeat", 3.5),
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", LANDED_PATIENCE_S),
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed state", LANDED_TIMEOUT_S),
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: ("status", 5.0),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: ("home", 15.0),
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: ("GNSS status", 5.0),
@@ -112,8 +112,8 @@ class StreamFreshness:
         """Return the names of stale streams; streams that never came are not included."""
         return tuple(
             name
-            for message_id, (name, patience_s) in PATIENCE_S.items()
-            if (self.age_s(message_id, now_s) or 0.0) > patience_s
+            for message_id, (name, stale_after_s) in STALE_AFTER_S.items()
+            if (self.age_s(message_id, now_s) or 0.0) > stale_after_s
         )
 
     def restart(self) -> None:
@@ -316,7 +316,7 @@ class StreamStopper:
 
 PACE_AGAIN_S = 60.0
 """Interval between two texts about a clock at another speed."""
-SHORTEST_PATIENCE_S = min(patience_s for _, patience_s in PATIENCE_S.values())
+MIN_STALE_AFTER_S = min(stale_after_s for _, stale_after_s in STALE_AFTER_S.values())
 TEXTS_PER_S = 0.2
 
 
@@ -362,7 +362,7 @@ class AutopilotQueries:
             return []
         ids, autopilot = binding.bound.ids, binding.bound.autopilot
         if fencing.is_urgent:
-            self.fence.hurry()
+            self.fence.skip_pause()
         request = self.fence.due(
             now_s, ids, is_wanted=fencing.wants_reading, is_followed=fencing.is_followed
         )
@@ -412,7 +412,7 @@ class AutopilotQueries:
         stale = self.freshness.stale(now_s)
         stopped = [name for name in stale if name not in self._stale]
         heard_s = self._binding.heard_s
-        is_silent = heard_s is None or now_s - heard_s > SHORTEST_PATIENCE_S
+        is_silent = heard_s is None or now_s - heard_s > MIN_STALE_AFTER_S
         if is_silent or not stopped:
             self._stale = tuple(name for name in self._stale if name in stale)
             return []

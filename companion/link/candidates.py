@@ -38,7 +38,7 @@ class Candidate:
 class Candidates:
     """Candidates of one link, and other senders of HEARTBEATs on it."""
 
-    unfit: dict[Ids, int] = field(default_factory=dict)
+    non_autopilots: dict[Ids, int] = field(default_factory=dict)
     """Senders of HEARTBEATs that are not autopilots, and their MAV_TYPE."""
     known: dict[Ids, Candidate] = field(default_factory=dict)
     ticked_s: float | None = None
@@ -57,8 +57,8 @@ class Candidates:
         ids = (heartbeat.get_srcSystem(), heartbeat.get_srcComponent())
         autopilot = autopilot_of(heartbeat)
         if autopilot is None or 0 in ids:
-            if len(self.unfit) < MAX_CANDIDATES:
-                self.unfit[ids] = heartbeat.type
+            if len(self.non_autopilots) < MAX_CANDIDATES:
+                self.non_autopilots[ids] = heartbeat.type
             return False
         if wanted_system_id not in (None, ids[0]):
             return False
@@ -89,9 +89,9 @@ class Candidates:
         """Return True if a sender was silent for long."""
         return self.listened_s(heard_s, now_s) > VANISHED_S
 
-    def unfit_names(self) -> list[str]:
+    def non_autopilot_names(self) -> list[str]:
         """Return senders of HEARTBEATs that are not autopilots, as ids and type."""
         return [
             f"{system}/{component} ({result_words('MAV_TYPE', number, 'MAV_TYPE_')})"
-            for (system, component), number in sorted(self.unfit.items())
+            for (system, component), number in sorted(self.non_autopilots.items())
         ]

@@ -110,7 +110,7 @@ class SessionExecutor:
         """Note frames of messages that the dialect lacks, whose checksum cannot be verified."""
         bound = self.binding.bound
         if bound is not None:
-            self._health.sequence.excuse(sum(sender_of(frame) == bound.ids for frame in frames))
+            self._health.sequence.exclude(sum(sender_of(frame) == bound.ids for frame in frames))
 
     def receive(self, message: Message, now_s: float) -> None:
         """Process a message of the autopilot."""

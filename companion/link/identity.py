@@ -142,7 +142,7 @@ class Track:
         """Return True if the vehicle can have flown from the last position to that of a sign."""
         return self.away_m(sign) <= NEAR_M + SPEED_MPS * max(0.0, now_s - self.position_s)
 
-    def goes_on(self, sign: Sign, now_s: float) -> bool:
+    def continues(self, sign: Sign, now_s: float) -> bool:
         """Return True if a sign continues this track, whose time does not stand still."""
         is_later = sign.stamp_s > self.stamp_s or now_s == self.heard_s
         return is_later and abs(self.late_s(sign, now_s)) <= JITTER_S and self.reaches(sign, now_s)
@@ -216,7 +216,7 @@ class IdentityCourse:
             if not is_return:
                 return SignVerdict.GOES_ON
             return self._note_return(now_s, is_cautious=is_cautious)
-        if self.other is None or not self.other.goes_on(sign, now_s):
+        if self.other is None or not self.other.continues(sign, now_s):
             self.other, self._run = Track.begin(sign, now_s), 0
         else:
             self.other.take(sign, now_s)

@@ -267,7 +267,7 @@ class VehicleInbound:
             state = VehicleState(reading.time_s, position_enu_m, velocity_enu_mps)
             event = VehicleMoved(now_s, state, order=number)
             fitted = self._compare_positions(message, now_s)
-        if self.clock.is_wild:
+        if self.clock.is_too_fast:
             return fitted
         if reading.step is ClockStep.RESTART:
             return [self._restart(now_s), event]

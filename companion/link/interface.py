@@ -127,7 +127,7 @@ class EmitterNames:
     """Ids of emitters by their names on the wire; a name without one gets one by the name alone."""
 
     def __init__(self, settings: RadioSettings) -> None:
-        self.news: list[str] = []
+        self.texts: list[str] = []
         """Texts for the operator, cleared by the reader."""
         self._settings = settings
         self._tolerance_mhz = 1e-3 * (settings.frequency_tolerance_khz or 0.0)
@@ -179,7 +179,7 @@ class EmitterNames:
             return None
         number = self._ids[key] = int(key) if is_number else self._new_id(str(key))
         if not is_number:
-            self.news.append(f"emitter `{printable(emitter)}` has the id {number}")
+            self.texts.append(f"emitter `{printable(emitter)}` has the id {number}")
         return number
 
     def _nearest(self, mhz: float) -> float:

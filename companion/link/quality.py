@@ -100,7 +100,7 @@ class SequenceMonitor:
         newest[2] += 1
         return number
 
-    def excuse(self, count: int) -> None:
+    def exclude(self, count: int) -> None:
         """Exclude frames that arrived but could not be verified from the loss.
 
         They are of messages that the dialect lacks, as from a newer autopilot.
@@ -377,8 +377,8 @@ class RadioWatch:
         }
 
     def _names(self) -> list[tuple[Severity, str]]:
-        news = [(Severity.INFO, text) for text in self.stage.names.news]
-        self.stage.names.news.clear()
+        news = [(Severity.INFO, text) for text in self.stage.names.texts]
+        self.stage.names.texts.clear()
         return news
 
     def _silence(self, now_s: float) -> list[tuple[Severity, str]]:

@@ -38,7 +38,7 @@ RATE_MAX_HZ = 20.0
 """Measurements a second of an emitter, as for radios with native formats (`rate_max_hz`)."""
 MAX_EMITTERS = 16
 """Emitters of one sender with separate rates: as many as `emitters.most` allows."""
-MANY_LEFT_OUT = 10
+MANY_DROPPED = 10
 """Dropped measurements before the next text: half a second's worth, more than a burst."""
 RangingMessage = (
     MAVLink_radio_ranging_message
@@ -67,7 +67,7 @@ class SenderRate:
         most_hz = RATE_MAX_HZ * MAX_EMITTERS
         self._all = RateLimit(most_hz, burst=int(most_hz))
         self._by_emitter: dict[int, RateLimit] = {}
-        self.left_out = 0
+        self.dropped = 0
         """Dropped measurements since the last text."""
         self._texts = RateLimit(1.0 / CAUSE_PERIOD_S)
 
@@ -79,14 +79,14 @@ class SenderRate:
                 del self._by_emitter[next(iter(self._by_emitter))]
             limit = self._by_emitter[emitter_id] = RateLimit(RATE_MAX_HZ, burst=int(RATE_MAX_HZ))
         is_due = limit.acquire(now_s) and self._all.acquire(now_s)
-        self.left_out += not is_due
+        self.dropped += not is_due
         return is_due
 
     def text(self, sender: tuple[int, int], now_s: float) -> Announce | None:
         """Return the warning that is due about dropped measurements, or None."""
-        if self.left_out < MANY_LEFT_OUT or not self._texts.acquire(now_s):
+        if self.dropped < MANY_DROPPED or not self._texts.acquire(now_s):
             return None
-        count, self.left_out = self.left_out, 0
+        count, self.dropped = self.dropped, 0
         system, component = sender
         return Announce(
             Severity.WARNING,
@@ -146,7 +146,7 @@ class MavlinkRanging:
                 later_s = own_offset_s - vehicle_offset_s
                 if -CLOCK_TOLERANCE_S <= later_s <= MAX_LINK_DELAY_S:
                     self._on_vehicle_clock.add(sender)
-                    clock.timebase.known_rate = self._vehicle_clock.wild_rate
+                    clock.timebase.known_rate = self._vehicle_clock.excess_rate
                     measured_at_s = min(now_s, stamp_s + vehicle_offset_s)
         measurement = ranging_from_message(message, measured_at_s)
         if measurement is None or not self._rates[sender].acquire(measurement.emitter_id, now_s):
@@ -155,7 +155,7 @@ class MavlinkRanging:
 
     def texts(self, now_s: float) -> list[Announce]:
         """Return warnings about senders whose measurements were dropped."""
-        due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.left_out]
+        due = [rate.text(sender, now_s) for sender, rate in self._rates.items() if rate.dropped]
         return [text for text in due if text is not None]
 
     def _forget(self, sender: tuple[int, int]) -> None:

@@ -52,7 +52,7 @@ from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.run import link_name, open_signing
 
 HEARTBEAT_PERIOD_S = 1.0
-PATIENCE_S = 0.5
+ATTITUDE_WAIT_S = 0.5
 """Time that a position waits for the next attitude."""
 
 
@@ -115,7 +115,7 @@ class PoseListener:
                 self._sigma_m = event.horizontal_m
             case VehicleMoved(state=state) if is_plausible(state):
                 self._waiting.append(state)
-                return self._poses(state.time_s - PATIENCE_S)
+                return self._poses(state.time_s - ATTITUDE_WAIT_S)
             case YawMeasured():
                 self._track.add_attitude(
                     event.measured_at_s, Attitude(event.yaw_ned_rad, event.tilt_rad)

@@ -25,7 +25,7 @@ from companion.handoff import utc_text
 from companion.io.files import INPUTS
 from companion.kernel import IS_COMPILED
 from companion.link.endpoint import CompanionEndpoint
-from companion.replay.recorded_flight import Course, Json, OnInput, is_mcap, open_recording, rerun
+from companion.replay.recorded_flight import Json, OnInput, Outputs, is_mcap, open_recording, rerun
 from companion.run import FlightView
 from companion.web.live_map import ReplayedFlight, WebView
 from companion.web.settings import WebSettings
@@ -38,8 +38,8 @@ T = TypeVar("T")
 class FlightReplay:
     """Comparison of a flight's replay with its recording."""
 
-    recorded: Course
-    replayed: Course
+    recorded: Outputs
+    replayed: Outputs
     is_exact: bool
     """True if the inputs were recorded; otherwise ticks are guessed from the tlog."""
     is_same_configuration: bool
@@ -99,7 +99,7 @@ class FlightReplay:
         return self.is_exact and self.is_same_configuration and not self.is_identical
 
     def table(self) -> str:
-        """Return both courses as a table of text."""
+        """Return both outputs as a table of text."""
         before, after = _figures(self.recorded), _figures(self.replayed)
         lines = [f"{'':<22} {'recorded':>14} {'replayed':>14}"]
         lines += [f"{name:<22} {before[name]:>14} {after[name]:>14}" for name in before]
@@ -160,13 +160,13 @@ def _difference_text(before: Json | None, after: Json | None) -> str:
     return f" at {before.get('t_s')} s: {', '.join(names)}"
 
 
-def _figures(course: Course) -> dict[str, str]:
-    last = course.estimates[-1] if course.estimates else {}
+def _figures(output: Outputs) -> dict[str, str]:
+    last = output.estimates[-1] if output.estimates else {}
     east_m, north_m = position_of(last) or (None, None)
-    reported = "never" if course.localised_s is None else f"{course.localised_s:.1f}"
+    reported = "never" if output.localised_s is None else f"{output.localised_s:.1f}"
     return {
-        "estimates": str(len(course.estimates)),
-        "setpoints": str(len(course.setpoints)),
+        "estimates": str(len(output.estimates)),
+        "setpoints": str(len(output.setpoints)),
         "reported after, s": reported,
         "last state": str(last.get("state", "-")),
         "last east, m": _figure(east_m),
@@ -183,12 +183,12 @@ def _figure(value: object) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _summary(course: Course) -> Json:
-    last = course.estimates[-1] if course.estimates else {}
+def _summary(output: Outputs) -> Json:
+    last = output.estimates[-1] if output.estimates else {}
     return {
-        "estimates": len(course.estimates),
-        "setpoints": len(course.setpoints),
-        "localised_s": course.localised_s,
+        "estimates": len(output.estimates),
+        "setpoints": len(output.setpoints),
+        "localised_s": output.localised_s,
         "last": last,
     }
 
@@ -212,10 +212,10 @@ def replay_flight(
         say(f"the flight used {how} kernels, this replay does not: last digits may differ")
     for text in recording.damage:
         say(text)
-    course = rerun(recording.inputs, used, facts, on_input, views, recording.whole_inputs)
+    output = rerun(recording.inputs, used, facts, on_input, views, recording.whole_inputs)
     return FlightReplay(
-        recording.course,
-        course,
+        recording.output,
+        output,
         is_exact=recording.is_exact,
         is_same_configuration=used == facts.config,
         is_course_whole=recording.is_course_whole,

@@ -56,7 +56,7 @@ SETPOINT_IDS = frozenset(
 
 
 @dataclass(slots=True)
-class Course:
+class Outputs:
     """Estimates and setpoints of a flight, recorded or replayed."""
 
     estimates: list[Json] = field(default_factory=list)
@@ -70,16 +70,16 @@ class Course:
         """Number of estimates and setpoints."""
         return len(self.estimates), len(self.setpoints)
 
-    def first(self, estimates: int, setpoints: int) -> Course:
+    def first(self, estimates: int, setpoints: int) -> Outputs:
         """Return its beginning, with these numbers of estimates and setpoints."""
-        return Course(self.estimates[:estimates], self.setpoints[:setpoints], self.localised_s)
+        return Outputs(self.estimates[:estimates], self.setpoints[:setpoints], self.localised_s)
 
 
-class CourseJournal(FlightView):
+class OutputJournal(FlightView):
     """The endpoint's journal during a replay."""
 
     def __init__(self) -> None:
-        self.course = Course()
+        self.output = Outputs()
 
     def frame(self, data: bytes, now_s: float) -> None:
         """Do nothing: frames are collected where they are sent."""
@@ -89,13 +89,13 @@ class CourseJournal(FlightView):
         if kind == "estimate":
             line = plain({"t_s": round(now_s, 4), "kind": kind, **fields})
             assert isinstance(line, dict)
-            self.course.estimates.append(line)
+            self.output.estimates.append(line)
 
     def result(self, report: ReportResult, now_s: float) -> None:
         """Keep the time of the first report."""
         del report
-        if self.course.localised_s is None:
-            self.course.localised_s = now_s
+        if self.output.localised_s is None:
+            self.output.localised_s = now_s
 
 
 def rerun(
@@ -105,12 +105,12 @@ def rerun(
     on_input: OnInput | None = None,
     views: Sequence[FlightView] = (),
     whole: int | None = None,
-) -> Course:
+) -> Outputs:
     """Run a flight again; `on_input` follows every input, views get the reports.
 
-    The course notes the results of the first `whole` inputs; None: of all.
+    `Outputs.whole` counts the results of the first `whole` inputs; None: of all.
     """
-    journal = CourseJournal()
+    journal = OutputJournal()
     tunables = Tunables(config, build_planner)
     if config == facts.config:
         tunables.restore(facts.parameters)
@@ -119,7 +119,7 @@ def rerun(
     endpoint = build_endpoint(config, heard, specs, tunables=tunables)
     for number, value in enumerate(inputs):
         if number == whole:
-            journal.course.whole = journal.course.size
+            journal.output.whole = journal.output.size
         match value.kind:
             case InputKind.FRAME:
                 chunk = Chunk(value.link, value.data, value.peer)
@@ -129,12 +129,12 @@ def rerun(
             case _:
                 endpoint.handle_event(event_of(value))
         sent = [chunk.data for chunk in endpoint.take_output()]
-        journal.course.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
+        journal.output.setpoints += [data for data in sent if message_id(data) in SETPOINT_IDS]
         if on_input is not None:
             on_input(endpoint, value.time_s)
-    if whole is not None and journal.course.whole is None:
-        journal.course.whole = journal.course.size
-    return journal.course
+    if whole is not None and journal.output.whole is None:
+        journal.output.whole = journal.output.size
+    return journal.output
 
 
 OWN_COMPONENT = 191
@@ -151,7 +151,7 @@ class FlightRecording:
     inputs: list[Input]
     is_exact: bool
     """True if the inputs were recorded; otherwise they are guessed from the frames."""
-    course: Course
+    output: Outputs
     whole_inputs: int | None = None
     """Number of inputs before the first that is damaged or missing; None if none is."""
     is_course_whole: bool = True
@@ -173,13 +173,13 @@ def open_recording(path: Path) -> FlightRecording:
         except ConfigError as error:
             raise ConfigError(f"{found.path}: {error}") from error
         parsed = list(parse_inputs(found.inputs, str(found.path)))
-        return FlightRecording(facts, parsed, True, course_of(found.events, found.frames))
+        return FlightRecording(facts, parsed, True, outputs_of(found.events, found.frames))
     flight = open_flight(path)
     bad_lines: list[int] = []
     bad_frames: list[int] = []
     lines = event_lines(flight.path(EVENTS), bad_lines.append)
     records = list(read_tlog(flight.path(TLOG), bad_frames.append))
-    course = course_of(lines, [record.frame for record in records])
+    output = outputs_of(lines, [record.frame for record in records])
     inputs, whole, bad_inputs = _inputs_of(flight, records)
     early = ""
     if whole is None and _lacks_last(records, inputs):
@@ -194,7 +194,7 @@ def open_recording(path: Path) -> FlightRecording:
         flight.facts,
         inputs,
         flight.path(INPUTS).exists(),
-        course,
+        output,
         whole,
         not bad_lines and not bad_frames and not _ends_early(records, inputs, flight.facts),
         tuple(text for text in damage if text),
@@ -250,19 +250,19 @@ def _inputs_of(
     return inputs, min(whole, default=None), bad
 
 
-def course_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Course:
+def outputs_of(lines: Iterable[Json], frames: Iterable[bytes]) -> Outputs:
     """Return the estimates and setpoints in a flight's logs."""
-    course = Course()
+    output = Outputs()
     for line in lines:
         if line.get("kind") == "estimate":
-            course.estimates.append(line)
-        elif line.get("kind") == "result" and course.localised_s is None:
+            output.estimates.append(line)
+        elif line.get("kind") == "result" and output.localised_s is None:
             time_s = line.get("time_s")
-            course.localised_s = float(time_s) if isinstance(time_s, int | float) else None
+            output.localised_s = float(time_s) if isinstance(time_s, int | float) else None
     for frame in frames:
         if sender_of(frame)[1] == OWN_COMPONENT and message_id(frame) in SETPOINT_IDS:
-            course.setpoints.append(frame)
-    return course
+            output.setpoints.append(frame)
+    return output
 
 
 def inputs_of_tlog(records: list[TlogRecord]) -> list[Input]:

@@ -24,7 +24,7 @@ from companion.geometry.polygons import Point
 from companion.guard.gate import GuardReason
 from companion.io.files import plain, read_file, write_bytes_atomic
 from companion.search.searched_area import SearchState
-from companion.search.searched_flight import SearchedFlight, gaps_of, searched_again, statement
+from companion.search.searched_flight import SearchedFlight, combined_area, gaps_of, statement
 from companion.view.history import FlightTrack
 
 SUMMARY_KINDS = ("text", "phase", "answer", "autopilot_text", "bound", "result")
@@ -241,10 +241,10 @@ def read_searched(flight: Path) -> SearchedFlight:
         raise ConfigError(f"{path}: not a record of a searched area: {error}") from error
 
 
-def state_again(flights: list[SearchedFlight], path: Path) -> SearchState | None:
+def combined_state(flights: list[SearchedFlight], path: Path) -> SearchState | None:
     """Return the combined state of flights, or None; a `ConfigError` names the first one's file."""
     try:
-        return searched_again(flights)
+        return combined_area(flights)
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -258,7 +258,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     flight = read_searched(arguments.flight)
-    state = state_again([flight], arguments.flight)
+    state = combined_state([flight], arguments.flight)
     if arguments.json:
         print(json.dumps(plain(result_fields(flight, state)), indent=2))
         return 0
@@ -275,7 +275,7 @@ def _show(arguments: argparse.Namespace) -> int:
 def _merge(arguments: argparse.Namespace) -> int:
     """Combine flights over the area of the first one."""
     flights = [read_searched(each) for each in arguments.flights]
-    state = state_again(flights, arguments.flights[0])
+    state = combined_state(flights, arguments.flights[0])
     first = flights[0]
     if state is None or first.origin is None:
         raise ConfigError(

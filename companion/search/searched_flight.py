@@ -268,7 +268,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     """Seconds after the beginning, east, north and height above home."""
 
 
-def searched_again(flights: Sequence[SearchedFlight]) -> SearchState | None:
+def combined_area(flights: Sequence[SearchedFlight]) -> SearchState | None:
     """Return the combined coverage of flights, on the grid of the first one.
 
     None if it has no grid or model. Flights of other origins are moved by the difference of the

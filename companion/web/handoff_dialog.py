@@ -27,7 +27,7 @@ from companion.web.panels import copy_button
 SENDER = "companion"
 
 
-class Found(msgspec.Struct, frozen=True):
+class LocalisedEmitter(msgspec.Struct, frozen=True):
     """An emitter that was located, as the flight sends it."""
 
     emitter: str
@@ -43,7 +43,7 @@ class Found(msgspec.Struct, frozen=True):
 
 def fill(found: object) -> None:
     """Fill the open dialog with the located emitters."""
-    handoffs = [each.handoff for each in msgspec.convert(found, list[Found])]
+    handoffs = [each.handoff for each in msgspec.convert(found, list[LocalisedEmitter])]
     for handoff in handoffs:
         _show(handoff)
     ui.label("Files for maps and ATAK").classes("muted")

@@ -145,7 +145,7 @@ class WebProcess:
         self._is_over = False
         self._restart_s: float | None = None
         """Monotonic time at which the ended child is restarted; None while it runs."""
-        self._patience_s = RESTART_S
+        self._restart_delay_s = RESTART_S
         self.starts = 0
         self.dropped = 0
         """Pictures that the child was too slow for."""
@@ -235,11 +235,11 @@ class WebProcess:
         self._unsent, self.viewers = b"", 0
         now_s = time.monotonic()
         if now_s - self._started_s >= LASTED_S:
-            self._patience_s = RESTART_S
-        self._restart_s = now_s + self._patience_s
+            self._restart_delay_s = RESTART_S
+        self._restart_s = now_s + self._restart_delay_s
         text = "the live map's process ended; it is started again in %g s, and the flight goes on"
-        log.warning(text, self._patience_s)
-        self._patience_s = min(2.0 * self._patience_s, LONGEST_RESTART_S)
+        log.warning(text, self._restart_delay_s)
+        self._restart_delay_s = min(2.0 * self._restart_delay_s, LONGEST_RESTART_S)
 
     def _flush(self) -> None:
         try:

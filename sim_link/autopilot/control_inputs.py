@@ -86,7 +86,7 @@ class SetpointMonitor:
         return self.arrived_s is not None and now_s - self.arrived_s < timeout_s
 
 
-def bits_of_no_numbers(message: PositionTarget, position: tuple[float, float, float]) -> int:
+def bits_of_non_finite(message: PositionTarget, position: tuple[float, float, float]) -> int:
     """Return the POSITION_TARGET_TYPEMASK bits of the fields that are NaN or infinite."""
     velocity = (message.vx, message.vy, message.vz)
     acceleration = (message.afx, message.afy, message.afz)

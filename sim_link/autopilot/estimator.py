@@ -287,7 +287,7 @@ class Estimator:
         if min(lost_until_s) >= until_s:
             self._lost_until_s = until_s
 
-    def spoil(self, ratio: float, until_s: float, of: EstimatorVote = "all") -> None:
+    def degrade(self, ratio: float, until_s: float, of: EstimatorVote = "all") -> None:
         """Let measurements contradict the estimate until a time."""
         self._poor_ratio, self._poor_until_s, self._poor_of = ratio, until_s, of
 

@@ -182,7 +182,7 @@ def _apply_to_estimator(
             receiver = {"all": None, "first": 0, "second": 1}[incident.receiver]
             estimator.lose_fix(now_s + incident.duration_s, receiver)
         case EkfPoor():
-            estimator.spoil(incident.ratio, now_s + incident.duration_s, incident.of)
+            estimator.degrade(incident.ratio, now_s + incident.duration_s, incident.of)
         case EkfJump():
             offset = (incident.east_m, incident.north_m, incident.up_m)
             estimator.jump(offset, math.radians(incident.yaw_deg))

@@ -1,6 +1,6 @@
 """Twenty-one recorded flights of many kinds, and functions that fly them again.
 
-A golden flight is an endpoint's inputs and its configuration; `courses.json` has digests
+A golden flight is an endpoint's inputs and its configuration; `outputs.json` has digests
 of every estimate and every setpoint that came of each. The flights are low and short, so that all
 of them together are small and are run again in seconds. `python -m tools.update_golden` updates the
 digests, or flies anew.
@@ -39,7 +39,7 @@ from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
 from companion.mav.endpoint import Chunk
 from companion.planning.crossing import LatchedCrossingParams
-from companion.replay.recorded_flight import Course, rerun
+from companion.replay.recorded_flight import Outputs, rerun
 from sim_link.autopilot.incidents import Incident, PilotMode
 from sim_link.autopilot.scenario import AutopilotParams, Scenario
 from sim_link.lab.faults.fault_models import Fault, LinkDelay, LinkJitter, LinkLoss, Schedule
@@ -50,7 +50,7 @@ from tools.campaign.checkpointing import Checkpointing
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden"
 SUFFIX = ".flight.xz"
-COURSES = FOLDER / "courses.json"
+OUTPUTS = FOLDER / "outputs.json"
 ALTITUDE_M = 6.5
 DURATION_S = 24.0
 SAMPLE_EVERY = 10
@@ -84,7 +84,7 @@ class Golden(msgspec.Struct, frozen=True):
     inputs: bytes
 
 
-class GoldenCourse(msgspec.Struct, frozen=True):
+class GoldenOutput(msgspec.Struct, frozen=True):
     """Result of a golden flight."""
 
     estimates: int
@@ -102,14 +102,14 @@ class GoldenCourse(msgspec.Struct, frozen=True):
         return self.arithmetic == arithmetic()
 
     @classmethod
-    def of(cls, course: Course) -> GoldenCourse:
-        """Return the part of a course that is stored."""
+    def of(cls, output: Outputs) -> GoldenOutput:
+        """Return the part of a output that is stored."""
         return cls(
-            estimates=len(course.estimates),
-            setpoints=len(course.setpoints),
-            estimates_digest=estimates_digest(course),
-            setpoints_digest=setpoints_digest(course),
-            samples=samples_of(course),
+            estimates=len(output.estimates),
+            setpoints=len(output.setpoints),
+            estimates_digest=estimates_digest(output),
+            setpoints_digest=setpoints_digest(output),
+            samples=samples_of(output),
             arithmetic=arithmetic(),
         )
 
@@ -138,26 +138,26 @@ def arithmetic() -> str:
     return digest.hexdigest()[:16]
 
 
-def samples_of(course: Course) -> tuple[tuple[float, float, float, float], ...]:
+def samples_of(output: Outputs) -> tuple[tuple[float, float, float, float], ...]:
     rows = []
-    for line in course.estimates[::SAMPLE_EVERY]:
+    for line in output.estimates[::SAMPLE_EVERY]:
         position = line["position_enu_m"]
         assert isinstance(position, list | tuple)
         rows.append((float(str(line["t_s"])), *map(float, position), float(str(line["r95_m"]))))
     return tuple((t, e, n, r) for t, e, n, r in rows)
 
 
-def estimates_digest(course: Course) -> str:
-    text = "\n".join(json.dumps(line, sort_keys=True) for line in course.estimates)
+def estimates_digest(output: Outputs) -> str:
+    text = "\n".join(json.dumps(line, sort_keys=True) for line in output.estimates)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def setpoints_digest(course: Course) -> str:
-    return hashlib.sha256(b"".join(course.setpoints)).hexdigest()
+def setpoints_digest(output: Outputs) -> str:
+    return hashlib.sha256(b"".join(output.setpoints)).hexdigest()
 
 
-def replayed(golden: Golden) -> Course:
-    """The course of a golden flight, run again."""
+def replayed(golden: Golden) -> Outputs:
+    """The output of a golden flight, run again."""
     inputs = parse_inputs(golden.inputs, "golden")
     return rerun(inputs, golden.facts.config, golden.facts)
 
@@ -173,12 +173,12 @@ def load(path: Path) -> Golden:
     return msgspec.convert(raw, Golden)
 
 
-def load_courses() -> dict[str, GoldenCourse]:
-    return msgspec.json.decode(COURSES.read_bytes(), type=dict[str, GoldenCourse])
+def load_outputs() -> dict[str, GoldenOutput]:
+    return msgspec.json.decode(OUTPUTS.read_bytes(), type=dict[str, GoldenOutput])
 
 
-def save_courses(courses: Mapping[str, GoldenCourse]) -> None:
-    COURSES.write_bytes(msgspec.json.format(msgspec.json.encode(courses), indent=1) + b"\n")
+def save_outputs(outputs: Mapping[str, GoldenOutput]) -> None:
+    OUTPUTS.write_bytes(msgspec.json.format(msgspec.json.encode(outputs), indent=1) + b"\n")
 
 
 def save(golden: Golden, path: Path) -> None:

@@ -21,7 +21,7 @@ SLOW = partial(pytest.param, marks=pytest.mark.slow)
 LASTS_S = 80.0
 FLAVOURS: tuple[FlavourName, ...] = ("px4", "ardupilot")
 AT_2_HZ, AT_0_4_HZ = 0.25, 1.25
-"""Half a period, seconds: shorter than every patience, and longer than most."""
+"""Half a period, seconds: shorter than every timeout of an input, and longer than most."""
 POSITION, HOME = ("LOCAL_POSITION_NED",), ("HOME_POSITION",)
 ALL = (*POSITION, "ATTITUDE", "EXTENDED_SYS_STATE", "SYS_STATUS", "GPS_RAW_INT")
 

@@ -15,10 +15,10 @@ from tests.loop.golden_flights import (
     FOLDER,
     PLANS,
     SUFFIX,
-    GoldenCourse,
+    GoldenOutput,
     fly,
     load,
-    load_courses,
+    load_outputs,
     replayed,
 )
 
@@ -36,7 +36,7 @@ EVERY_DAY = {"px4", "ardupilot"}
     [pytest.param(name, marks=[] if name in EVERY_DAY else pytest.mark.slow) for name in PLANS],
 )
 def test_a_golden_flight_is_run_again_bit_by_bit(name: str) -> None:
-    was, now = load_courses()[name], GoldenCourse.of(replayed(load(FOLDER / f"{name}{SUFFIX}")))
+    was, now = load_outputs()[name], GoldenOutput.of(replayed(load(FOLDER / f"{name}{SUFFIX}")))
     assert (now.estimates, now.setpoints) == (was.estimates, was.setpoints), HOW
     for before, after in zip(was.samples, now.samples, strict=True):
         assert math.dist(before, after) < APART_M, f"at {before[0]} s; {HOW}"
@@ -69,5 +69,5 @@ def test_another_estimator_is_noticed() -> None:
     golden = load(FOLDER / f"px4{SUFFIX}")
     config = msgspec.structs.replace(golden.facts.config, estimation=EstimationConfig(kind="ekf"))
     facts = msgspec.structs.replace(golden.facts, config=config)
-    course = GoldenCourse.of(replayed(msgspec.structs.replace(golden, facts=facts)))
-    assert course.estimates_digest != load_courses()["px4"].estimates_digest
+    output = GoldenOutput.of(replayed(msgspec.structs.replace(golden, facts=facts)))
+    assert output.estimates_digest != load_outputs()["px4"].estimates_digest

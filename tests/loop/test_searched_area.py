@@ -170,7 +170,7 @@ def test_an_area_outside_the_fence_is_said_once_and_on_the_ground(
 
 def test_a_replayed_record_states_the_same() -> None:
     """`searched_area.json` alone gives the figures of the flight."""
-    from companion.search.searched_flight import SearchedFlight, searched_again
+    from companion.search.searched_flight import SearchedFlight, combined_area
 
     searching = searched().companion.session.searching
     searching.finish()
@@ -178,7 +178,7 @@ def test_a_replayed_record_states_the_same() -> None:
     assert flight is not None
     assert state is not None
     read = msgspec.json.decode(msgspec.json.encode(flight), type=SearchedFlight)
-    again = searched_again([read])
+    again = combined_area([read])
     assert again is not None
     assert again.pos == pytest.approx(state.pos, abs=0.005)
 

@@ -8,7 +8,7 @@ from companion.config.schema import CompanionConfig
 from companion.domain import Autopilot
 from companion.guidance.phases import IN_CONTROL, Phase
 from companion.guidance.readiness import REQUIREMENTS
-from companion.link.autopilot_queries import PATIENCE_S
+from companion.link.autopilot_queries import STALE_AFTER_S
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
 from sim_link.lab.faults.fault_models import LinkBlackout, StreamMute
@@ -26,8 +26,8 @@ STREAMS = tuple(
 """The two others are read once, and tests/loop/test_third_parties.py changes them."""
 ONLY_HERE = {"ESTIMATOR_STATUS": "px4", "EKF_STATUS_REPORT": "ardupilot"}
 LEANT_ON = tuple(
-    (flavour, mavlink.mavlink_map[number].msgname, word, patience_s)
-    for number, (word, patience_s) in PATIENCE_S.items()
+    (flavour, mavlink.mavlink_map[number].msgname, word, stale_after_s)
+    for number, (word, stale_after_s) in STALE_AFTER_S.items()
     for flavour in FLAVOURS
     if ONLY_HERE.get(mavlink.mavlink_map[number].msgname, flavour) == flavour
     and number != mavlink.MAVLINK_MSG_ID_RC_CHANNELS  # there is no transmitter
@@ -84,15 +84,15 @@ def test_what_stops_at_ready_is_named_and_a_mode_gives_no_control(
     assert loop.phase not in IN_CONTROL
 
 
-@pytest.mark.parametrize(("flavour", "name", "word", "patience_s"), LEANT_ON)
+@pytest.mark.parametrize(("flavour", "name", "word", "stale_after_s"), LEANT_ON)
 def test_what_stops_in_control_is_named_after_its_patience(
-    flavour: FlavourName, name: str, word: str, patience_s: float
+    flavour: FlavourName, name: str, word: str, stale_after_s: float
 ) -> None:
     loop = searching(flavour)
     loop.wire.add(StreamMute(message=name), loop.now_s)
-    loop.run(0.5 * patience_s)
+    loop.run(0.5 * stale_after_s)
     assert not loop.said(f"no {word} any more")
-    loop.run(0.5 * patience_s + 6.0)  # a text on streams every 5 s
+    loop.run(0.5 * stale_after_s + 6.0)  # a text on streams every 5 s
     named = [text for _, text in loop.notes.texts if text.startswith("no ") and word in text]
     assert named, loop.notes.texts
     assert named[0].endswith("any more: requesting again")

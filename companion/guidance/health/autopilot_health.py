@@ -126,7 +126,7 @@ DOUBT_S = 1.0
 """Longest trouble reported by an estimator after which it recovers by itself."""
 GOOD_S = 1.0
 """Time without trouble until the estimate is trusted again."""
-PATIENCE_S = 5.0
+HAND_BACK_AFTER_S = 5.0
 """Trouble that lasts longer than this leads to a hand-back."""
 
 
@@ -303,6 +303,6 @@ class LandingWatch(Watch):
 
 
 def _finding(reason: Reason, text: str, lasted_s: float) -> Finding:
-    if lasted_s <= PATIENCE_S:
+    if lasted_s <= HAND_BACK_AFTER_S:
         return Finding(Verdict.HOLD, reason, text)
-    return Finding(Verdict.HAND_BACK, reason, f"{text} for {PATIENCE_S:g} s")
+    return Finding(Verdict.HAND_BACK, reason, f"{text} for {HAND_BACK_AFTER_S:g} s")

@@ -58,7 +58,7 @@ FAR_M = 10.0
 """Memory of an echo close to our path, of one far from it, and the distance that counts as far."""
 HOLD_S = 1.0
 """Duration of the hold before we yield."""
-GOES_ON_S = 0.4
+PERSISTS_S = 0.4
 """Time within the hold after which a source that is still active causes a yield."""
 
 
@@ -150,7 +150,7 @@ class EchoWatch(Watch):
         elif self._contended_since_s is None:
             self._contended_since_s = now_s
         if self._contended_since_s is not None:
-            went_on = self._foreign_s[-1][0] - self._contended_since_s >= GOES_ON_S
+            went_on = self._foreign_s[-1][0] - self._contended_since_s >= PERSISTS_S
             is_over = now_s - self._contended_since_s >= HOLD_S
             verdict = Verdict.YIELD if went_on and is_over else Verdict.HOLD
             first_s = self._foreign_s[0][0]

@@ -51,7 +51,7 @@ MAX_GAP_S = 1.0
 """Longest time between two reports that are compared."""
 STEADY_S = 2.0
 """Time without a jump after which navigation is stable."""
-PATIENCE_S = 5.0
+HAND_BACK_AFTER_S = 5.0
 """Longest time for which jumps may continue before the vehicle is handed back."""
 
 
@@ -287,12 +287,12 @@ class JumpWatch(Watch):
         if is_first:
             self._first_s = now_s
         self._last_s = now_s
-        context.vehicle.track.distrust(before_s, now_s + STEADY_S)
+        context.vehicle.track.exclude(before_s, now_s + STEADY_S)
         context.flight_plan.forget()
         context.set_estimate(context.tracker.estimate(now_s))
         verdict, reason = Verdict.HOLD, Reason.OWN_JUMP
         finding = Finding(verdict, reason, f"{text}: holding until it is stable")
-        if now_s - self._first_s > PATIENCE_S:
+        if now_s - self._first_s > HAND_BACK_AFTER_S:
             finding = Finding(
                 Verdict.HAND_BACK, reason, "vehicle position or heading keeps jumping"
             )

@@ -242,7 +242,7 @@ class OperatorCommandWatch(Watch):
         return self._finding
 
 
-UNREAD_PATIENCE_S = 20.0
+UNREAD_TIMEOUT_S = 20.0
 """Time for two rounds of unanswered requests (8 tries of 0.4 s) and the pause of 10 s between."""
 CHANGED_EVERY_S = 30.0
 
@@ -284,7 +284,7 @@ class FenceWatch(Watch):
             self._wrong_since_s = now_s
         refusal = fencing.refusal
         text = "the autopilot's fence is not read yet" if refusal is None else refusal
-        has_lasted = now_s - self._wrong_since_s > UNREAD_PATIENCE_S
+        has_lasted = now_s - self._wrong_since_s > UNREAD_TIMEOUT_S
         return Finding(Verdict.HAND_BACK if has_lasted else Verdict.HOLD, Reason.FENCE, text)
 
 

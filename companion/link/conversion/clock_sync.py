@@ -55,7 +55,7 @@ PACE_WINDOW_S = 3.0
 """Span of the exchanges that must lie on a line."""
 CRYSTAL = 1e-4
 """Rate of a usual clock, one sigma; and its random walk, per root second."""
-SURPRISE = 3.0
+OUTLIER_SIGMAS = 3.0
 """Innovation, in sigma, of a surprising exchange."""
 BUSY = 0.03
 """Rate of an unknown clock, one sigma: the clock of a simulated autopilot depends on its computer's
@@ -129,7 +129,7 @@ class OffsetFilter:
         self._offset_var, self._covar = sigma_s**2, 0.0
         self._rate_var: float = CRYSTAL**2 if before is None else before._rate_var
         self.max_rate = MAX_RATE
-        self._surprise_s = 0.0
+        self._outlier_s = 0.0
         """Innovation of the exchange before, if surprising."""
 
     def at_s(self, time_s: float) -> float:
@@ -138,7 +138,7 @@ class OffsetFilter:
 
     def sigma_s(self, time_s: float) -> float:
         """Return the standard deviation of the offset at a time."""
-        return math.sqrt(self._foretold(max(0.0, time_s - self.updated_s))[0])
+        return math.sqrt(self._predicted(max(0.0, time_s - self.updated_s))[0])
 
     @property
     def steady_rate(self) -> Rate:
@@ -149,7 +149,7 @@ class OffsetFilter:
         is_crystal = sigma <= SIGNIFICANT * CRYSTAL
         return NO_RATE if is_crystal else Rate(0.0, DRIFT_ALLOWANCE + 2.0 * sigma)
 
-    def _foretold(self, passed_s: float) -> tuple[float, float]:
+    def _predicted(self, passed_s: float) -> tuple[float, float]:
         """Return the predicted variance of the offset, and its covariance with the rate."""
         offset_var = (
             self._offset_var
@@ -163,16 +163,16 @@ class OffsetFilter:
         """Process an exchange; return False if it deviates too much, and changed nothing."""
         passed_s = max(0.0, at_s - self.updated_s)
         innovation_s = offset_s - self.at_s(at_s)
-        offset_var, covar = self._foretold(passed_s)
+        offset_var, covar = self._predicted(passed_s)
         innovation_var = offset_var + sigma_s**2
         if abs(innovation_s) > max(DEVIATION_S, 5.0 * math.sqrt(innovation_var)):
             return False
-        is_surprise = innovation_s**2 > SURPRISE**2 * innovation_var
-        if is_surprise and innovation_s * self._surprise_s > 0.0:
+        is_outlier = innovation_s**2 > OUTLIER_SIGMAS**2 * innovation_var
+        if is_outlier and innovation_s * self._outlier_s > 0.0:
             self._rate_var = BUSY**2
-            offset_var, covar = self._foretold(passed_s)
+            offset_var, covar = self._predicted(passed_s)
             innovation_var = offset_var + sigma_s**2
-        self._surprise_s = innovation_s if is_surprise else 0.0
+        self._outlier_s = innovation_s if is_outlier else 0.0
         gain, rate_gain = offset_var / innovation_var, covar / innovation_var
         self.offset_s = self.at_s(at_s) + gain * innovation_s
         rate = self.rate + rate_gain * innovation_s

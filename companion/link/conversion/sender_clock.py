@@ -260,7 +260,7 @@ class SenderClock:
         """Times and sizes of the clock's gains on ours."""
 
     @property
-    def is_wild(self) -> bool:
+    def is_too_fast(self) -> bool:
         """True if it runs too fast for its stamps to be used."""
         return self.gained_s > MAX_GAIN_S
 
@@ -269,7 +269,7 @@ class SenderClock:
         """Recent gain on our clock, seconds."""
         return sum([gain_s for _, gain_s in self._gains]) if self._gains else 0.0
 
-    def calm(self) -> None:
+    def forget_gains(self) -> None:
         """Clear the gains after they were identified as a slip."""
         self._gains.clear()
 
@@ -322,7 +322,7 @@ class VehicleClock:
         self._delay_s = 0.0
         """Shortest delay when both last agreed; negative where answers are dated back."""
         self._apart_since_s: float | None = None
-        self.wild_rate: Rate | None = None
+        self.excess_rate: Rate | None = None
         """Clock rate from the time exchange if it exceeds `MAX_RATE`, else None."""
         self._resets = sync.resets
         self._slipped_s = -math.inf
@@ -341,9 +341,9 @@ class VehicleClock:
         return by_exchange_s if is_way else by_arrival_s
 
     @property
-    def is_wild(self) -> bool:
+    def is_too_fast(self) -> bool:
         """True if it runs too fast for its stamps to be used."""
-        return self._stamps.is_wild
+        return self._stamps.is_too_fast
 
     def read(self, remote_s: float, now_s: float) -> StampReading:
         """Return the local time of one of its stamps that arrived at `now_s`, both in seconds."""
@@ -368,7 +368,7 @@ class VehicleClock:
         """Forget its stamps, because the exchange of times showed that it restarted."""
         self._stamps = SenderClock()
         self._is_same_clock = False
-        self._apart_since_s = self.wild_rate = None
+        self._apart_since_s = self.excess_rate = None
         self.slips += 1
 
     def _follow_exchange(self, now_s: float) -> bool:
@@ -381,7 +381,7 @@ class VehicleClock:
         offset_s, round_trip_s = self.sync.offset_at_s(now_s), self.sync.round_trip_s
         is_known = self.sync.is_known(now_s)
         if by_arrival_s is None or offset_s is None or round_trip_s is None or not is_known:
-            self._stamps.timebase.known_rate = self._apart_since_s = self.wild_rate = None
+            self._stamps.timebase.known_rate = self._apart_since_s = self.excess_rate = None
             return False
         delay_s = by_arrival_s - offset_s
         half_s = round_trip_s / 2.0 + CLOCK_TOLERANCE_S
@@ -389,7 +389,7 @@ class VehicleClock:
             self._is_same_clock, self._delay_s = True, delay_s
         rate = self.sync.rate if self._is_same_clock else None
         self._stamps.timebase.known_rate = rate
-        self.wild_rate = rate if rate is not None and abs(rate.growth) > MAX_RATE else None
+        self.excess_rate = rate if rate is not None and abs(rate.growth) > MAX_RATE else None
         shortest_s = min(0.0, self._delay_s) - half_s
         if not self._is_same_clock or shortest_s <= delay_s <= round_trip_s + half_s:
             self._apart_since_s, self._delay_s = None, max(-half_s, delay_s)
@@ -414,6 +414,6 @@ class VehicleClock:
         least_s = MAX_GAIN_S if now_s - self._slipped_s <= ONE_SLIP_S else BACKWARD_S
         if self._stamps.gained_s <= least_s:
             return False  # a link that is late one way shifts the exchange, not the stamps
-        self._stamps.calm()
+        self._stamps.forget_gains()
         self._slipped_s = now_s
         return True

@@ -295,7 +295,7 @@ EVEN_WITHOUT_POSITION = 3
 CONTINUE_IN_GUIDED = 4
 """Bit of FS_OPTIONS: GUIDED continues without the transmitter."""
 TWO_VOTES = 2
-EKF_PATIENCE_S = 1.0
+EKF_DEBOUNCE_S = 1.0
 """Time for which the estimate must be bad, and then good again."""
 ROUNDING_S = 1e-6
 FENCE, EKF, STATION, STICKS = "Fence breached", "EKF Failsafe", "GCS Failsafe", "Radio Failsafe"
@@ -362,16 +362,16 @@ class CopterFailsafes:
         if self._changes(FENCE, margin_m < 0.0):
             yield self._event(FENCE, self._reaction("FENCE_ACTION"))
         estimator, value = self._aircraft.estimator, self._parameters
-        is_bad = not estimator.is_position_valid or self._is_outvoted()
+        is_bad = not estimator.is_position_valid or self._is_over_threshold()
         change_s = STEP_S if is_bad else -STEP_S
-        self._bad_estimate_s = min(EKF_PATIENCE_S, max(0.0, self._bad_estimate_s + change_s))
-        limit_s = ROUNDING_S if EKF in self.active else EKF_PATIENCE_S - ROUNDING_S
+        self._bad_estimate_s = min(EKF_DEBOUNCE_S, max(0.0, self._bad_estimate_s + change_s))
+        limit_s = ROUNDING_S if EKF in self.active else EKF_DEBOUNCE_S - ROUNDING_S
         concerns = mode.needs_position or value["FS_EKF_ACTION"] == EVEN_WITHOUT_POSITION
         reaction = self._reaction("FS_EKF_ACTION") if concerns else None
         if self._changes(EKF, self._bad_estimate_s >= limit_s):
             yield self._event(EKF, reaction, names_mode=reaction is not None)
 
-    def _is_outvoted(self) -> bool:
+    def _is_over_threshold(self) -> bool:
         """Return True if two of three ratios, or the velocity at twice the threshold, are bad."""
         ratio, threshold = self._aircraft.estimator.test_ratio, self._parameters["FS_EKF_THRESH"]
         votes = sum(ratio(of) >= threshold for of in ("velocity", "position", "compass"))

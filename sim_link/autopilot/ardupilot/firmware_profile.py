@@ -126,7 +126,7 @@ NEVER_ENTERED = {
     **{23: "FOLLOW", 25: "SYSTEMID", 27: "AUTO_RTL"},
 }
 """Modes that refuse to begin; the real one's THROW waits for a throw."""
-BY_WHAT_IT_DOES: dict[FlightMode, CopterMode] = {
+MODE_BY_PURPOSE: dict[FlightMode, CopterMode] = {
     mode.mode: mode for mode in _TABLE if mode.number in (0, 1, 2, 3, 4, 5, 6, 9, 17)
 }
 """The plain mode for each purpose."""

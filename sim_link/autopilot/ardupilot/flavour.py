@@ -24,7 +24,6 @@ from sim_link.autopilot.ardupilot.control import (
 )
 from sim_link.autopilot.ardupilot.firmware_profile import (
     AUTO,
-    BY_WHAT_IT_DOES,
     CLIMB,
     DESCENT,
     FIRMWARE,
@@ -32,6 +31,7 @@ from sim_link.autopilot.ardupilot.firmware_profile import (
     HORIZONTAL,
     IGNORES_LOCAL_SETPOINTS,
     LAND,
+    MODE_BY_PURPOSE,
     RTL,
     STABILIZE,
     CopterMode,
@@ -195,7 +195,7 @@ class ArduPilotFlavour(AutopilotFlavour):
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
         """Handle the pilot's mode switch; modes unknown to ArduPilot change nothing."""
-        wanted = BY_WHAT_IT_DOES.get(mode)
+        wanted = MODE_BY_PURPOSE.get(mode)
         if wanted is not None:
             self.choose(wanted, now_s)
             self.settle(now_s, "pilot")

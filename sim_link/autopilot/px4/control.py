@@ -48,7 +48,7 @@ from sim_link.autopilot.control_inputs import (
     PositionTarget,
     Setpoint,
     TargetMessage,
-    bits_of_no_numbers,
+    bits_of_non_finite,
     enu_of,
     is_on_earth,
 )
@@ -115,7 +115,7 @@ def setpoint_from_global(message: GlobalTarget, aircraft: Aircraft) -> Setpoint 
 
 def effective_mask(message: PositionTarget, position: tuple[float, float, float]) -> int | None:
     """Return the type mask, with the bits of NaN fields added; None if the setpoint is refused."""
-    mask = int(message.type_mask) | bits_of_no_numbers(message, position)
+    mask = int(message.type_mask) | bits_of_non_finite(message, position)
     is_empty = mask & MOTION_IGNORE == MOTION_IGNORE
     return None if mask & dialect.FORCE_SET or is_empty else mask
 

@@ -155,10 +155,10 @@ class WireLink:
         await asyncio.sleep(0)
         if self._arrived or self._is_interrupted:
             return
-        patience_s = until_s - self.now_s
-        if patience_s > 0.0:
+        left_s = until_s - self.now_s
+        if left_s > 0.0:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._wake.wait(), patience_s)
+                await asyncio.wait_for(self._wake.wait(), left_s)
 
     def _receive(self, chunks: list[Chunk]) -> None:
         for chunk in chunks:

@@ -239,7 +239,7 @@ class _UdpFlight:
         self._watched.looked(now_s)
         if self._pacer is not None:
             if not self._harness.is_companion_running or self._end_wall_s is not None:
-                self._pacer.excuse()
+                self._pacer.exclude_others()
             if self._pacer.pace != f"{self._speed:g}x":
                 self.record.slowed_to = self._pacer.pace
         self._take_events(now_s)

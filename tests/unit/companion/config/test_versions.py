@@ -12,7 +12,7 @@ import yaml
 from companion.cli import main
 from companion.config import versions
 from companion.config.schema import CompanionConfig, load_config
-from companion.config.versions import GONE, SCHEMA_VERSION, Gone, renew
+from companion.config.versions import REMOVED_KEYS, SCHEMA_VERSION, Removed, renew
 from companion.errors import ConfigError
 from companion.flight_setup import build_session
 from companion.io.log_files import FAMILY, FORMAT
@@ -106,11 +106,11 @@ def test_the_layout_of_a_pattern_that_is_not_flown_is_dropped() -> None:
     assert raw["planner"] == {"search": "lawnmower"}
 
 
-FIXED = [(path, gone) for path, gone in GONE.items() if path != "estimation.adaptation"]
+FIXED = [(path, gone) for path, gone in REMOVED_KEYS.items() if path != "estimation.adaptation"]
 
 
 @pytest.mark.parametrize(("path", "gone"), FIXED)
-def test_a_key_that_is_gone_is_refused_with_another_value(path: str, gone: Gone) -> None:
+def test_a_key_that_is_gone_is_refused_with_another_value(path: str, gone: Removed) -> None:
     for value, is_refused in ((gone.default, False), ("other", True)):
         *sections, key = path.split(".")
         raw: dict[str, Any] = {key: value}

@@ -188,7 +188,11 @@ def test_a_stream_is_judged_by_what_is_flown_on_and_what_was_asked_for(
         ({}, "50000 bytes that are not MAVLink", "check the protocol"),
         ({"unproved_frames": 40}, "40 frames not signed with our key", "the same signing key"),
         ({"other_autopilots": (7,)}, "systems 7 are autopilots", "set it to yours"),
-        ({"unfit": ("1/154 (gimbal)",)}, "but 1/154 (gimbal)", "none of these is an autopilot"),
+        (
+            {"non_autopilots": ("1/154 (gimbal)",)},
+            "but 1/154 (gimbal)",
+            "none of these is an autopilot",
+        ),
     ],
 )
 def test_an_autopilot_that_is_not_there_keeps_from_flying(

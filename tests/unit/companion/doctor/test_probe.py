@@ -10,7 +10,7 @@ from companion.config.schema import CompanionConfig
 from companion.doctor.autopilot_settings import RENAMED
 from companion.doctor.examination import examine
 from companion.doctor.findings import Facts, Level, LinkFacts
-from companion.doctor.probe import PATIENCE_S, DoctorProbe
+from companion.doctor.probe import TIMEOUT_S, DoctorProbe
 from companion.domain import Autopilot
 from companion.link.intake import Authenticity
 from companion.mav.codec import MavCodec, message_id
@@ -149,7 +149,7 @@ def test_an_empty_line_is_given_up_after_a_while() -> None:
     facts = practice.run()
     assert facts.autopilot is None
     assert facts.bytes_received == 0
-    assert facts.waited_s == pytest.approx(PATIENCE_S, abs=0.2)
+    assert facts.waited_s == pytest.approx(TIMEOUT_S, abs=0.2)
     assert {message.get_type() for message in practice.sent} == {"HEARTBEAT"}
 
 

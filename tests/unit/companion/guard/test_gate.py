@@ -124,9 +124,9 @@ class TestHolding:
 
     def test_standing_moves_nothing_even_outside_of_fence_and_band(self) -> None:
         for position in (START, (150.0, 0.0, 30.0), (0.0, 0.0, 90.0), (0.0, 0.0, 3.0)):
-            assert GUARD.stand(position) == Guarded(position)
+            assert GUARD.freeze(position) == Guarded(position)
         with pytest.raises(ValueError, match=r"^the position to hold is not a number$"):
-            GUARD.stand((0.0, math.nan, 30.0))
+            GUARD.freeze((0.0, math.nan, 30.0))
 
 
 class TestTheFence:

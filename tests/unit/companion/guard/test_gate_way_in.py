@@ -212,7 +212,7 @@ class TestFromAboveOrBelow:
     def test_one_that_others_made_out_of_it_is_held_into_it_by_the_climb_limits(
         self, up_m: float, end_m: float, east_m: float
     ) -> None:
-        last = GUARD.stand((east_m, 0.0, up_m))
+        last = GUARD.freeze((east_m, 0.0, up_m))
         ups: list[float] = [up_m]
         for _ in range(600):
             last = GUARD.hold(last, motion((east_m, 0.0, up_m)), DT_S)

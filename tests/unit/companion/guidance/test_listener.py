@@ -286,7 +286,7 @@ def test_every_measurement_several_times_gives_the_same_estimate_byte_by_byte(
 
 def test_nothing_is_measured_from_a_position_that_jumped(flight: Flight) -> None:
     flight.moved(9.9, 10.1)
-    flight.track.distrust(9.95, 12.0)
+    flight.track.exclude(9.95, 12.0)
     flight.listener.receive(AT_10_S)
     assert [r.reject_reason for r in flight.listener.fuse_due(10.1)] == [RejectReason.OWN_JUMP]
     assert flight.refusals == {RejectReason.OWN_JUMP: 1}

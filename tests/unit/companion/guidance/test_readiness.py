@@ -11,7 +11,7 @@ import pytest
 from companion.domain import Autopilot, FlightMode, LandedState
 from companion.guidance.events import AutopilotFenceChanged
 from companion.guidance.phases import IN_CONTROL, Phase
-from companion.guidance.readiness import MISSING_PATIENCE_S, REQUIREMENTS, missing_inputs
+from companion.guidance.readiness import ANNOUNCE_MISSING_S, REQUIREMENTS, missing_inputs
 from companion.link.interface import VehicleParams
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
@@ -64,7 +64,7 @@ ROWS = {row.text: row for row in REQUIREMENTS}
 GLOBAL = VehicleParams(setpoint="global_int")
 """Only global setpoints, and fences in degrees, need the origin."""
 SPARE_S = 1.0
-"""Beyond a patience, until it is noticed and said."""
+"""Beyond a timeout, until it is noticed and announced."""
 
 
 def new_flight(text: str, autopilot: Autopilot) -> ScriptedFlight:
@@ -77,16 +77,16 @@ def cases() -> list[tuple[str, Autopilot]]:
     return [(row.text, one) for row in REQUIREMENTS for one in autopilots if row.is_needed(one)]
 
 
-def patience_s(text: str) -> float:
+def timeout_s(text: str) -> float:
     row = ROWS[text]
-    return (row.patience_s if math.isfinite(row.patience_s) else 0.0) + SPARE_S
+    return (row.timeout_s if math.isfinite(row.timeout_s) else 0.0) + SPARE_S
 
 
-def test_the_page_has_every_row_with_its_patience() -> None:
+def test_the_page_has_every_row_with_its_timeout() -> None:
     page = (Path(__file__).parents[4] / "docs/flying.md").read_text(encoding="utf-8")
     for row in REQUIREMENTS:
-        patience = f"{row.patience_s:g} s" if math.isfinite(row.patience_s) else "none"
-        assert f"| {row.text} | `{row.message}` | {patience} |" in page
+        timeout = f"{row.timeout_s:g} s" if math.isfinite(row.timeout_s) else "none"
+        assert f"| {row.text} | `{row.message}` | {timeout} |" in page
 
 
 def test_every_row_is_tried() -> None:
@@ -105,11 +105,11 @@ def test_one_that_is_taken_before_ready_is_waited_for_by_its_name(
         flight.report_landed(LandedState.IN_AIR)
     flight.locate()
     TAKEN[text](flight)
-    flight.fly(patience_s(text) - 0.5)
+    flight.fly(timeout_s(text) - 0.5)
     assert any(part.startswith(text) for part in missing(flight))
-    flight.fly(MISSING_PATIENCE_S + 0.5)
+    flight.fly(ANNOUNCE_MISSING_S + 0.5)
     texts = [said for said in flight.texts if said.startswith(("waiting for", "not ready"))]
-    assert texts  # "not ready" where it was ready within the patience
+    assert texts  # "not ready" where it was ready within the timeout
     flight.mode = FlightMode.OFFBOARD
     flight.fly(2.0)
     assert flight.phase not in IN_CONTROL
@@ -124,7 +124,7 @@ def test_one_that_is_taken_at_ready_is_named_and_no_control_begins(
     assert flight.is_in(Phase.STANDBY)
     said = len(flight.texts)
     TAKEN[text](flight)
-    flight.fly(patience_s(text))
+    flight.fly(timeout_s(text))
     assert any(part.startswith(text) for part in missing(flight))
     new = " | ".join(flight.texts[said:])
     assert "not ready" in new or "reading it again" in new
@@ -139,7 +139,7 @@ def test_one_that_is_taken_in_control_is_held_on_and_named(text: str, autopilot:
     flight = new_flight(text, autopilot).in_control()
     assert flight.is_in(Phase.NORMAL), flight.texts
     TAKEN[text](flight)
-    flight.fly(patience_s(text))
+    flight.fly(timeout_s(text))
     if text == "the landed state":
         assert flight.phase in IN_CONTROL
         return

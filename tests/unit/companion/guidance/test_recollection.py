@@ -17,7 +17,7 @@ from companion.guidance.events import (
     UncleanExitFound,
 )
 from companion.guidance.phases import Phase
-from companion.guidance.readiness import ORIGIN_PATIENCE_S
+from companion.guidance.readiness import ORIGIN_TIMEOUT_S
 from tests.unit.companion.guidance.scripted import ORIGIN, TARGET, ScriptedFlight
 
 AUTO = SessionParams(engage="auto")
@@ -169,7 +169,7 @@ def test_a_belief_does_not_wait_for_ever_for_its_frame() -> None:
     flight = ScriptedFlight()
     flight.has_ranging = False
     recall(flight, memory_of_a_flight())
-    flight.fly(ORIGIN_PATIENCE_S + 0.2)
+    flight.fly(ORIGIN_TIMEOUT_S + 0.2)
     flight.ready()
     assert flight.session.estimate is None
     assert "estimate reset: the autopilot does not report its origin" in flight.texts

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from companion.io.child_processes import (
+    ASLEEP_AFTER_S,
     LEEWAY_S,
-    PATIENCE_S,
     VARIABLE,
     Pacer,
     SharedClock,
@@ -89,7 +89,7 @@ def test_one_stall_changes_no_speed_and_a_machine_that_is_too_slow_does(machine:
 
 def test_a_process_that_ended_is_not_waited_for_for_ever(machine: Machine) -> None:
     machine.pass_time(1.0)
-    machine.pass_time(PATIENCE_S, follower=False)
+    machine.pass_time(ASLEEP_AFTER_S, follower=False)
     before_s = machine.pacer.now_s()
     machine.pass_time(1.0, follower=False)
     assert machine.pacer.now_s() - before_s >= 0.9
@@ -113,7 +113,7 @@ def test_an_excused_process_delays_no_other_until_it_is_back(machine: Machine) -
     machine.pass_time(1.0)
     before_s = machine.pacer.now_s()
     for _ in range(10):
-        machine.pacer.excuse()
+        machine.pacer.exclude_others()
         machine.pass_time(0.1, follower=False)
     assert machine.pacer.now_s() - before_s == pytest.approx(4.0)
     assert machine.pacer.speed == 4.0

@@ -94,7 +94,7 @@ def test_a_gimbal_before_the_autopilot_is_named_and_the_autopilot_bound() -> Non
     heard.binding.recognise(gimbal, PEER, 0.0)
     heard.now_s = 1.5
     assert heard.hear((1, 1), seconds=4).ids == (1, 1)
-    assert heard.binding.candidates.unfit_names() == ["1/154 (gimbal)"]
+    assert heard.binding.candidates.non_autopilot_names() == ["1/154 (gimbal)"]
 
 
 def test_nothing_but_a_heartbeat_binds() -> None:

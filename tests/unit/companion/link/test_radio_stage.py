@@ -98,7 +98,7 @@ def test_an_unnamed_emitter_gets_an_id_that_is_the_same_on_every_radio_and_is_re
     named = replace(READING, emitter="ski jacket")
     number = one(first, named).emitter_id
     assert one(first, named).emitter_id == one(second, named).emitter_id == number
-    assert first.names.news == [f"emitter `ski jacket` has the id {number}"]
+    assert first.names.texts == [f"emitter `ski jacket` has the id {number}"]
 
 
 def test_a_number_beyond_16_bits_is_a_name() -> None:

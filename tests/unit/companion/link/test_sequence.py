@@ -38,7 +38,7 @@ def test_a_frame_that_could_not_be_verified_is_not_lost(every: int) -> None:
         if sequence % every:
             monitor.take(sequence, now_s)
         else:
-            monitor.excuse(1)
+            monitor.exclude(1)
     loss = monitor.loss(999 * PERIOD_S)
     assert loss is not None
     assert loss < 0.02

@@ -11,8 +11,8 @@ from companion.search.searched_area import LearntReach, SearchedArea, SearchStat
 from companion.search.searched_flight import (
     SearchedFlight,
     StoredGrid,
+    combined_area,
     reach_source,
-    searched_again,
     statement,
 )
 
@@ -40,7 +40,7 @@ def flight(north_m: float, origin: LocalOrigin = ORIGIN, reach_m: float = 50.0) 
 
 
 def pos_of(*flights: SearchedFlight) -> float:
-    state = searched_again(flights)
+    state = combined_area(flights)
     assert state is not None
     return state.pos
 
@@ -117,12 +117,12 @@ def test_the_sentence_says_of_which_emitters_nothing_was_heard(
     it = msgspec.structs.replace(
         flight(100.0), reported=reported, heard=heard, sought=sought, contact_unix_s=contact
     )
-    assert statement(it, searched_again([it])).startswith(expected)
+    assert statement(it, combined_area([it])).startswith(expected)
 
 
 def test_the_source_of_the_reach_is_named() -> None:
     it = msgspec.structs.replace(flight(100.0), reach_from="preset")
-    assert statement(it, searched_again([it])).endswith(" Reach 50 m, from the radio's preset.")
+    assert statement(it, combined_area([it])).endswith(" Reach 50 m, from the radio's preset.")
     assert reach_source(it) == "preset, estimation.filter.reach_m: 50 m, 4 dB"
     learnt = msgspec.structs.replace(it, learnt=LearntReach(41.0, 2.5))
     assert reach_source(learnt) == (

@@ -84,7 +84,7 @@ def test_after_a_launched_flight_was_taken_over_it_is_not_about_to_take_off() ->
 
 
 def test_where_a_grant_is_needed_it_says_how(flown: Loop) -> None:
-    flown.companion.session.authority.demand_grant("failsafe")
+    flown.companion.session.authority.require_grant("failsafe")
     text = hint(flown, phase=Phase.YIELD)
     assert GRANT_HOW in text
     assert len(text.split()) <= MAX_WORDS

@@ -8,7 +8,7 @@ import msgspec
 
 from companion.handoff import handoff_of
 from companion.io.files import plain
-from companion.web.handoff_dialog import Found
+from companion.web.handoff_dialog import LocalisedEmitter
 from tests.loop.loop_helpers import Loop
 
 
@@ -19,5 +19,5 @@ def test_a_hand_off_of_the_page_is_the_flights_own() -> None:
     assert estimate is not None
     assert origin is not None
     fields = {"emitter": "7", "estimate": estimate, "origin": origin, "unix_s": 1.8e9}
-    found = msgspec.convert(json.loads(json.dumps(plain(fields))), Found)
+    found = msgspec.convert(json.loads(json.dumps(plain(fields))), LocalisedEmitter)
     assert found.handoff == handoff_of("7", estimate, origin, 1.8e9)

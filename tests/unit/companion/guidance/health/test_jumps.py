@@ -113,7 +113,7 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     track.turn(0.5)
     track.add(state(10.1, (7.0, -1.0, 22.0)))
     assert track.position_at(10.05) == pytest.approx((7.0, -1.0, 22.0))
-    track.distrust(10.0, 12.1)
+    track.exclude(10.0, 12.1)
     assert track.position_at(10.05) is None
     attitude = track.attitude_at(10.0)
     assert attitude is not None
@@ -122,9 +122,9 @@ def test_the_past_moves_along_and_the_time_about_the_jump_is_not_trusted() -> No
     assert not track.is_trusted_at(10.05)
     assert not track.is_trusted_at(12.0)
     assert track.is_trusted_at(12.1)
-    track.distrust(11.0, 13.0)
+    track.exclude(11.0, 13.0)
     assert not track.is_trusted_at(10.05)
-    track.distrust(20.0, 22.0)
+    track.exclude(20.0, 22.0)
     assert track.is_trusted_at(12.5)
 
 

@@ -139,7 +139,7 @@ def test_a_grant_that_waits_for_nothing_is_refused_and_one_for_a_found_vehicle_i
 
 def test_a_grant_in_another_mode_names_the_mode_to_choose() -> None:
     flight = in_phase(Phase.YIELD)
-    flight.session.authority.demand_grant("failsafe")
+    flight.session.authority.require_grant("failsafe")
     flight.show(FlightMode.RETURN)
     ask(flight, OperatorCommand.GRANT)
     assert flight.texts[-1] == "GRANT accepted: switch to offboard mode"
