@@ -27,14 +27,14 @@ READY_AGAIN_S = 3.0
 UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
 TRACK_STEP_M = 0.5
-"""Largest distance from the logged position at which none is logged: a hover wanders by as much."""
+"""Minimum distance between logged positions: a hovering vehicle wanders by as much."""
 SILENCE_S = 0.3
 """Longest pause of the setpoints after which they continue; after a longer one the first setpoint
 is the vehicle's position, because it may have moved."""
 
 
 class StandstillWatch:
-    """Warns once if the vehicle stands away from its setpoint, and again after it has moved.
+    """Warns once if the vehicle hovers away from its setpoint, and again after it has moved.
 
     An ArduPilot that is paused in GUIDED stands still and echoes every setpoint.
     """
@@ -44,7 +44,7 @@ class StandstillWatch:
         self._stood_enu_m: PositionEnu | None = None
         """Position from which the vehicle has not moved; None: out of control."""
         self._away_since_s = 0.0
-        """Time since which the setpoint that is followed is elsewhere."""
+        """Time since which the setpoint has been away from the vehicle."""
         self._is_announced = False
 
     def step(self, now_s: float) -> None:
@@ -137,7 +137,7 @@ class ControlTick:
         self._watches.echo.note_setpoint(setpoint.position_enu_m, now_s)
 
     def _search(self, now_s: float) -> None:
-        """Count the time in which the radio listens, while there is an emitter to be heard."""
+        """Count the time in which the radio listens for an emitter that was not heard."""
         context, fence = self._context, self._context.guard.limits.fence
         if context.searching.is_over or context.authority.phase is Phase.FINISHED:
             return  # measurements are ignored from then on

@@ -28,11 +28,11 @@ selected.
 PX4 may report a failsafe one HEARTBEAT after its mode, and our setpoints may still be in transit.
 """
 LATE_S = 1.0
-"""Longest delay of a frame sent before control was handed over; it ends nothing until then."""
+"""Longest delay of a frame sent before the hand-over: such a frame must not end control."""
 ID_CONFLICT_S = 10.0
 """Longest silence of an id conflict: a bad link loses half of the other system's HEARTBEATs."""
 CHOICES = frozenset({Trigger.MODE_LOST, Trigger.PILOT_TOOK})
-"""Triggers by which a person ends control, unless there is evidence of another cause."""
+"""Triggers that mean a person's choice, unless there is evidence of another cause."""
 GRANT_REASONS = {
     Trigger.HANDED_BACK: "handed back",
     Trigger.CONTENTION: "second source of setpoints",
@@ -41,7 +41,7 @@ GRANT_REASONS = {
     Trigger.LAUNCH_FAILED: "takeoff aborted",
     Trigger.YIELD_RECALLED: "silent before the restart",
 }
-"""Ends of control that no mode switch revokes, as the operator reads them."""
+"""Ends of control after which a grant is needed, as texts for the operator."""
 LATCHING_PHASES = {
     Phase.HANDBACK: Trigger.HANDED_BACK,
     Phase.LAUNCHING: Trigger.LAUNCH_FAILED,

@@ -37,7 +37,7 @@ SMOOTHING = 0.1
 
 
 class QueueParams(Params, frozen=True):
-    """Several emitters, one after the other."""
+    """Order in which several emitters are searched for."""
 
     order: Order = "first"
     """`first`: only the listed one, or the first one heard; else all of them, in this order."""
@@ -47,7 +47,7 @@ class QueueParams(Params, frozen=True):
     """Maximum number of filters without a list; emitters heard later are ignored."""
 
     def __post_init__(self) -> None:
-        """Refuse a list that is not used, and a use without a list."""
+        """Reject a list that `order` does not use, or the lack of one that it needs."""
         if self.order == "first" and len(self.listed) > 1:
             raise ValueError("order: first searches for one emitter, and listed for several ids")
         if self.order != "first" and (self.order == "listed") != bool(self.listed):
@@ -57,13 +57,13 @@ class QueueParams(Params, frozen=True):
 
 
 class Progress(NamedTuple):
-    """Emitters that were found, and those that are still sought."""
+    """Emitters that were reported, heard, or neither."""
 
     reported: tuple[int, ...]
     heard: tuple[int, ...]
     """Heard and not reported."""
     sought: tuple[int, ...] | None
-    """Ids that are sought and not heard yet; empty: any further emitter; None if none is sought."""
+    """Ids not heard yet; empty: any further emitter; None if no other emitter is searched for."""
 
 
 class EmitterQueue:
@@ -146,12 +146,12 @@ class EmitterQueue:
 
     @property
     def are_all_reported(self) -> bool:
-        """True if every emitter sought, heard or listed is reported, where there may be several."""
+        """True if every listed or heard emitter is reported, where there may be several."""
         return not self._is_open and self.reported.issuperset(self._trackers)
 
     @property
     def progress(self) -> Progress:
-        """Emitters found so far, and those that are sought."""
+        """Emitters that were reported, heard, or neither."""
         heard = [t.emitter_id for t in self.trackers if t.accepted or t.hypotheses]
         rest = tuple(n for n in heard if n is not None and n not in self.reported)
         sought: tuple[int, ...] | None = None if heard and not self._is_open else ()

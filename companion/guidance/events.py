@@ -184,7 +184,7 @@ class EstimatorStatusReported(Event):
 
 @dataclass(frozen=True, slots=True)
 class FixReported(Event):
-    """Fix state of one GNSS receiver: a 3-D fix, or none."""
+    """One GNSS receiver has a 3-D fix, or none."""
 
     has_fix: bool
     receiver: int = 0
@@ -401,7 +401,7 @@ class ProcessMessage(Event):
 
 @dataclass(frozen=True, slots=True)
 class UncleanExitFound(Event):
-    """An earlier process of ours ended uncleanly; see `guidance.recovery`."""
+    """An earlier companion process ended uncleanly; see `guidance.readiness`."""
 
     vehicle: VehicleMark | None = None
     """Expected current state of that run's vehicle; None: unknown."""

@@ -124,7 +124,7 @@ class Handover:
         left = context.authority.phase
         if context.enter(Trigger.LANDED, event.time_s):
             text = "on the ground" if is_down else "autopilot is landing"
-            if left in (Phase.FINISHED, Phase.HANDBACK):  # by what we asked for
+            if left in (Phase.FINISHED, Phase.HANDBACK):  # as requested
                 context.announce(Severity.NOTICE, f"as requested: {text}")
             else:
                 context.warn(f"control lost: {text}")

@@ -1,7 +1,7 @@
 """Rate-limited texts for the operator, and records for the event log.
 
 Theory of operation of findings. An announced state stays valid for the operator until it has been
-over for a while, or a worse one comes: then the new state is announced. A reason that was not
+over for a while, or a worse one begins: then the new state is announced. A reason that was not
 announced for long is announced at once. So two reasons that alternate at every tick are announced
 once each, and a lasting one at the latest a moment after it began. A lost link never waits: it ends
 only after a second, so it cannot flicker.
@@ -159,10 +159,10 @@ CAUTION = (
 class StateMessages:
     """The announced state of the estimate, with hysteresis.
 
-    A second position whose probability is near the threshold comes and goes with every measurement.
-    So a state that demands more caution is announced at once, and one that demands less when the
-    other has not been seen for `settle_s`. The estimate itself, and every decision made with it,
-    keeps the current state.
+    A second position whose probability is near the threshold appears and vanishes with every
+    measurement. So a state that demands more caution is announced at once, and one that demands
+    less when the other has not been seen for `settle_s`. The estimate itself, and every decision
+    made with it, keeps the current state.
     """
 
     def __init__(self) -> None:
@@ -195,7 +195,7 @@ REPEAT_AFTER_S = 30.0
 """Shortest time between two texts with the same reason."""
 LOGGED_EVERY_S = 1.0
 SILENT = frozenset({GuardReason.LAGGING, GuardReason.CUT_OFF})
-"""Reasons that come and go at every corner, so that they are only logged."""
+"""Reasons that recur at every corner, and are therefore only logged."""
 
 
 class GuardMessages:
@@ -271,7 +271,7 @@ MANY_FOR_OFFSET = 50
 
 
 class OffsetMessages:
-    """Announces a range offset at its bound: the radio's own one lies beyond."""
+    """Announces a range offset at its bound: the true one is probably beyond it."""
 
     def __init__(self) -> None:
         self._texts = RateLimited(REPEAT_AFTER_S)

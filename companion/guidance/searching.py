@@ -1,7 +1,7 @@
-"""Area searched by the radio since take-off, for emitters that are sought and were not heard.
+"""Area searched by the radio since take-off, for emitters that were not heard.
 
 All of them share one map, because it is the same for every emitter that was not heard. Counting
-ends once none is sought any more: in a search for one emitter at the first accepted measurement.
+ends once no such emitter is left: in a search for one emitter at the first accepted measurement.
 
 Time under the pilot's control is included, because the radio listens then, too. It is counted while
 the vehicle is in the air with a current, trusted position. Positions are kept in the frame of the
@@ -92,7 +92,7 @@ class Searching:
         self.is_radio_heard = False
         """True if the radio has sent anything at all."""
         self.is_counting = True
-        """False once no emitter is sought that was not heard."""
+        """False once no emitter is left that was not heard."""
         self.is_over = False
         """True if nothing is counted any more, and all work on the cells is done."""
         self.progress = Progress((), (), ())
@@ -222,7 +222,7 @@ class Searching:
     def outlook(self, vehicle: VehicleView) -> Outlook | None:
         """Return the remaining probability, at most seconds old; None: unknown.
 
-        While none is sought nothing is counted, and a frame that moved is not that of the grid.
+        None also once counting has ended, or if the local frame has moved since the grid was made.
         """
         if self._area is None or not self._is_planned or not self.is_counting:
             return None

@@ -109,7 +109,7 @@ class _Reading:
     tries: int = 0
     next_s: float = -math.inf
     refusal: str | None = None
-    """Result of an autopilot that refused, in words; None if it did not."""
+    """Text of the autopilot's refusal; None if it did not refuse."""
 
     def advance(self) -> None:
         """Note that the request was answered; the next one is due at once."""

@@ -2,15 +2,15 @@
 
 Each query receives the autopilot's messages and returns a request when one is due: for its fence,
 for streams, for a parameter, for modes, for its hardware id, for the time. Together all but the
-last send one request per control tick, so that a slow line is not flooded; that for the fence
-first: engagement waits for it; that for the hardware id last: nothing waits for it.
+last send one request per control tick, so that a slow line is not flooded: for the fence first,
+because engagement waits for it, for the hardware id last, because nothing does.
 
 Streams are requested because ArduPilot sends nothing but heartbeats by itself, and PX4's rates
 differ by link. Each kind of message is monitored on its own, by arrival here and progress there:
-one with a time stamp counts as new only if that moved. A stream that has not come for a while is
-stale; one that comes far less often than requested is slow; both are requested again. Whether the
-link is alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is not a detector
-where frames get lost.
+one with a time stamp counts as new only if that has advanced. A stream without arrivals for a while
+is stale, one far below the requested rate is slow; both are requested again. Whether the link is
+alive is decided by `AutopilotBinding`, because one HEARTBEAT a second is not a detector where
+frames get lost.
 
 Source: MAVLink common, MAV_CMD_SET_MESSAGE_INTERVAL and REQUEST_MESSAGE.
 """
@@ -109,7 +109,7 @@ class StreamFreshness:
         return None if stream is None or stream.heard_s is None else now_s - stream.heard_s
 
     def stale(self, now_s: float) -> tuple[str, ...]:
-        """Return the names of stale streams; streams that never came are not included."""
+        """Return the names of stale streams, without those that never arrived."""
         return tuple(
             name
             for message_id, (name, stale_after_s) in STALE_AFTER_S.items()
@@ -179,7 +179,7 @@ class _Want:
     retry_s: float = FIRST_RETRY_S
     asked_s: float | None = None
     asks: int = 0
-    """Requests since it came last."""
+    """Requests since its last arrival."""
 
     @property
     def is_given_up(self) -> bool:
@@ -281,7 +281,7 @@ def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:
 
 
 STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
-"""Interval between two requests if the stream still comes: messages in flight are no refusal."""
+"""Interval between two requests if the stream continues: messages in flight are no refusal."""
 OFF_US = -1.0
 """Interval that stops a stream."""
 

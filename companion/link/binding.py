@@ -1,9 +1,9 @@
 """Binding to one autopilot, and the check that its frames continue as one vehicle's.
 
-Theory of operation. Every autopilot that is heard is a candidate. Where no system id is configured,
-nothing is bound before all candidates had time to appear, and two systems are waited out, or for
-the operator's choice. Of one system, component 1 is preferred. After a restart of the companion its
-vehicle is bound at once, if ids and boot clock continue.
+Theory of operation. Every autopilot that is heard is a candidate. Without a configured system id
+nothing is bound before all candidates had time to appear, and of two systems neither until one
+vanishes or the operator chooses. Of one system, component 1 is preferred. After a restart of the
+companion its vehicle is bound at once, if ids and boot clock continue.
 
 The binding is more than its ids: the kind of vehicle, the address, and the course of its clock,
 position and sequence (`companion.link.identity`). Contradicting frames are withheld, and `problem`
@@ -89,7 +89,7 @@ class AutopilotBinding:
     _elsewhere: dict[Address | None, IdentityCourse] = field(default_factory=dict)
     """Courses of the same ids at other addresses."""
     unproved: dict[Address | None, float] = field(default_factory=dict)
-    """Addresses that may be the autopilot's now, and when they were asked for evidence."""
+    """Addresses that may be the autopilot's now, and the time of the last request for evidence."""
 
     @property
     def is_bound(self) -> bool:
@@ -197,7 +197,7 @@ class AutopilotBinding:
 
     @property
     def is_doubted(self) -> bool:
-        """True if frames are withheld because they may come from another vehicle."""
+        """True if frames are withheld because they may be another vehicle's."""
         return self.problem is not None and not self._is_of_choice
 
     def take_unproved(self, now_s: float) -> list[Address | None]:

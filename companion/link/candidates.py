@@ -1,8 +1,9 @@
 """Autopilots heard on the vehicle link, one of which is bound.
 
 Every HEARTBEAT of an autopilot makes its sender a candidate; stations, gimbals, cameras, companion
-computers and other senders that are not autopilots are kept apart, for texts. A candidate that was
-silent for long has vanished. Forged frames can invent any number of senders, so only some are kept.
+computers and other senders that are not autopilots are listed separately, for texts. A candidate
+that was silent for long has vanished. Forged frames can invent any number of senders, so only some
+are kept.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from companion.mav.endpoint import Address
 from companion.mav.payloads import is_for
 
 OCCASIONAL = FENCE_IDS | {mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_STATUSTEXT}
-"""Ids of messages that come as answers or on occasion."""
+"""Ids of messages that arrive as answers or occasionally."""
 TEXTS_PER_S, TEXT_BURST = 10, 30
 """Rate and burst of the autopilot's texts in the log."""
 
@@ -100,7 +100,7 @@ class SessionExecutor:
     def note_unread(
         self, sender: Ids, sequence: int, number: int, peer: Address | None, now_s: float
     ) -> None:
-        """Note that a frame came which is not decoded: its sender, sequence and message id."""
+        """Note a frame that is not decoded: its sender, sequence and message id."""
         if self.binding.hear(sender, peer, now_s, sequence):
             if self._queries.stopper is not None:
                 self._queries.stopper.hear(number, now_s)

@@ -4,8 +4,8 @@ A ground station sees the parameters as those of component 191 next to the vehic
 validated like the configuration, and applied only when that is safe; a refusal reports the value
 that is kept and why (PARAM_ERROR, and a text), and nothing is ever created. Integers are encoded
 like the autopilot's, bytewise with PX4 and cast with ArduPilot, because ground stations decode all
-components of a vehicle alike; our AUTOPILOT_VERSION reports which. A broadcast to all components is
-answered if the parameter is ours. Every command to us is answered.
+components of a vehicle in the same way; our AUTOPILOT_VERSION reports which. A broadcast to all
+components is answered if the parameter is ours. Every command to us is answered.
 
 Source: MAVLink developer guide, "Parameter Protocol", "Command Protocol"; MAVLink common,
 PARAM_ERROR.

@@ -5,7 +5,7 @@ OFFBOARD, for an external controller's mode. None has it by itself; a script may
 the vehicle then lists it in AVAILABLE_MODES and flies it as GUIDED. So the list is requested when
 an autopilot is bound, again when AVAILABLE_MODES_MONITOR announces a change, and when a mode
 appears that the list did not have. A vehicle that is found in mode 30 has to leave it once:
-otherwise the answer alone would look like a mode switch.
+otherwise the answer alone would be taken as a mode switch.
 
 Source: MAVLink common, messages 0, 1, 30, 32, 33, 49, 85, 242, 245, AVAILABLE_MODES and "Standard
 Flight Modes" protocol; ArduPilot #28939, #28110; ArduCopter 4.5 answers FAILED.
@@ -157,7 +157,7 @@ class VehicleInbound:
         self.clock = VehicleClock(sync or ClockSync())
         self._modes = modes or OfferedModes()
         self.overtaken = 0
-        """Messages that came after a newer one of their kind."""
+        """Messages that arrived after a newer one of their kind."""
         self._autopilot = Autopilot.OTHER
         self._restart(0.0)
 
@@ -182,7 +182,7 @@ class VehicleInbound:
         return AutopilotRestarted(now_s)
 
     def events(self, message: Message, now_s: float, number: int = 0) -> list[Event]:
-        """Return the events of a message; none if a newer one of its kind came before.
+        """Return the events of a message; none if a newer one of its kind has arrived.
 
         Positions and attitudes are ordered by their stamps in their buffers; but a position that
         was sent before the origin moved is in another frame. `number` is a message's position in

@@ -21,7 +21,7 @@ Theory of operation of signing. With a key every frame of every link must be ver
 decoded; the codecs do that. The time in signatures continues from the wall clock at the start by
 the control tick's own clock, so that a wall clock that is set in flight has no effect; it is
 followed only before an autopilot is bound. Rejections are announced within a second, then once a
-period in one text, because a forger must not fill the log. RADIO_STATUS may come unsigned. It is
+period in one text, because a forger must not fill the log. RADIO_STATUS may be unsigned. It is
 logged and not used otherwise: unverified, it is not evidence about the autopilot, not even that it
 is there.
 """
@@ -87,7 +87,7 @@ class Resource(IntEnum):
     FRAMES = 1
     """Frames with a correct CRC."""
     MESSAGES = 2
-    """Verified, or signing is off."""
+    """Messages in verified frames, or in any without signing."""
 
 
 Amounts = tuple[int, int, int]
@@ -288,7 +288,7 @@ class Authenticity:
     ) -> LinkSigning | None:
         """Return the signing of a link's codec; None without a key.
 
-        Messages of `unsigned_ids` may come unsigned on it, besides those that can never be signed.
+        Messages of `unsigned_ids` may be unsigned on it, besides those that can never be signed.
         """
         if self._signing is None:
             return None

@@ -3,8 +3,8 @@
 Once a second a TARGET_ESTIMATE is sent for each emitter with an estimate, to an ArduPilot in a
 TUNNEL as well, because it forwards only messages that it knows; and for the current emitter
 NAMED_VALUE_FLOATs in metres, which Mission Planner and MAVProxy show and plot: degrees would be
-rounded to half a metre as floats. While an emitter is sought that was not heard, two of these have
-the searched area: a TARGET_ESTIMATE would need a position, and be drawn as a target.
+rounded to half a metre as floats. While the searched area is counted, two of these report it: a
+TARGET_ESTIMATE would need a position, and be drawn as a target.
 
 On links of their own, and only if configured, ground stations get an ADSB_VEHICLE as well, which
 they draw on their map. It never goes to the autopilot: one that avoids traffic would avoid the

@@ -55,13 +55,13 @@ class SequenceMonitor:
         self.received = 0
         """Frames so far, duplicates not counted."""
         self.lost = 0
-        """Numbers that were skipped and have not come since."""
+        """Numbers that were skipped and have not arrived since."""
         self.duplicates = 0
         self.late = 0
         self._newest: int | None = None
         self._heard_s = 0.0
         self._seen = 0
-        """Bit n is set if number `newest - n` came."""
+        """Bit n is set if number `newest - n` arrived."""
         self._buckets: deque[list[float]] = deque()
         """Start, numbers that the count advanced, and frames received in each tenth of a second."""
 
@@ -111,16 +111,16 @@ class SequenceMonitor:
             self._buckets[-1][2] += count
 
     def loss(self, now_s: float) -> float | None:
-        """Return the share of recent frames that did not come, 0 to 1; None if too few were due."""
+        """Return the share of recent frames that were lost, 0 to 1; None if too few were due."""
         since_s = now_s - WINDOW_S
-        expected = came = 0.0
+        expected = arrived = 0.0
         for began_s, numbers, frames in self._buckets:
             if began_s > since_s:
                 expected += numbers
-                came += frames
+                arrived += frames
         if expected < MIN_EXPECTED:
             return None
-        return min(max(0.0, 1.0 - came / expected), 1.0)
+        return min(max(0.0, 1.0 - arrived / expected), 1.0)
 
     def skip(self) -> None:
         """Take the next number as ahead, however far: many recent frames may be lost."""

@@ -1,12 +1,12 @@
 """Gate of all operator texts: each cause at most once in a period, within a byte budget.
 
 Theory of operation. The cause of a text is its wording without numbers, and without the list of
-missing inputs. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it
-comes and goes. Texts of one topic are states that replace each other, such as "waiting for ..." and
-"ready"; there the newest withheld state is announced as soon as its cause may be, unless the topic
-has gone back to the announced one. So the last text of a topic is the current state, at the latest
-after one period. Changes of control are never withheld: they are answers to the pilot, and guidance
-already spaces them.
+missing inputs. A cause is announced at most once in `CAUSE_PERIOD_S`, however often it recurs.
+Texts of one topic are states that replace each other, such as "waiting for ..." and "ready"; there
+the newest withheld state is announced as soon as its cause may be, unless the topic has gone back
+to the announced one. So the last text of a topic is the current state, at the latest after one
+period. Changes of control are never withheld: they are answers to the pilot, and guidance already
+spaces them.
 
 Announced texts go to the log and the console. On the air they also have to fit into a share of the
 slowest downlink, over a sliding minute; errors and changes of control exceed it rather than get
@@ -31,7 +31,7 @@ MINUTE_S = 60.0
 SHARE_OF_DOWNLINK = 0.01
 """Share of the downlink's capacity for texts; telemetry needs the rest."""
 NUMBER = re.compile(r"(?<![\w.])(?<!system )(?<!emitter )-?\d[\d.]*")
-"""Figures that distinguish no causes: not numbers of systems or emitters, nor those in names."""
+"""Numbers that do not distinguish causes; ids of systems and emitters do, and numbers in names."""
 WAITED_FOR = re.compile(r"(?<=\bwaiting for ).*")
 """List of missing inputs, which shrinks after a start: one cause, whatever it contains."""
 
@@ -49,7 +49,7 @@ class TextGate:
 
     def __init__(self, bytes_per_s: float) -> None:
         self.withheld = 0
-        """Texts that were not announced when they came."""
+        """Texts that were withheld on arrival."""
         self.unsent = 0
         """Announced texts that did not fit into the budget of the downlink."""
         self._budget_bytes = SHARE_OF_DOWNLINK * bytes_per_s * MINUTE_S
@@ -84,7 +84,7 @@ class TextGate:
             before = self.withheld
             if self.admit(text, now_s):
                 due.append(text)
-            self.withheld = before  # counted when it came
+            self.withheld = before  # counted on arrival
         return due
 
     def fits(self, text: Announce, size_bytes: int, now_s: float) -> bool:

@@ -87,7 +87,7 @@ def payload_of(frame: bytes) -> bytes:
 
 
 def is_mavlink1(message: Message) -> bool:
-    """Return True if a received message came in MAVLink 1, without its extension fields."""
+    """Return True if a received message was in MAVLink 1, without its extension fields."""
     frame = message.get_msgbuf()
     return bool(frame) and frame[0] == MAGIC_V1
 

@@ -223,7 +223,7 @@ class LinkSigning:
     is_trusted: bool = False
     """True: unsigned frames are accepted on this link."""
     unsigned_ids: frozenset[int] = UNSIGNED_ALLOWED
-    """Messages that may come unsigned on a link that is not trusted."""
+    """Messages that may be unsigned on a link that is not trusted."""
 
     def accepts(self, frame: bytes) -> bool:
         """Return True if a received frame may be decoded."""

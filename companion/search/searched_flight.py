@@ -245,7 +245,7 @@ class SearchedFlight(msgspec.Struct, frozen=True, kw_only=True):
     began_unix_s: float
     ended_unix_s: float
     listened_s: float
-    """Time in the air with a position, while an emitter was sought."""
+    """Time in the air with a position, while counting."""
     contact_unix_s: float | None = None
     """Unix time of the first accepted measurement."""
     reported: tuple[int, ...] = ()

@@ -316,11 +316,11 @@ class FlightSnapshot:
     next_step: str = ""
     """The operator's next step."""
     searched: str | None = None
-    """Searched area until now; None if no emitter is sought any more, or nothing is stated."""
+    """Searched area until now; None once counting has ended, or without a detection model."""
 
 
 def searched_words(session: GuidanceSession) -> str | None:
-    """Return the text of the searched share of the area; None unless an emitter is sought."""
+    """Return the text of the searched share of the area; None unless it is counted."""
     searching = session.searching
     if not searching.is_counting or not searching.is_worth_reporting:
         return None

@@ -4,17 +4,16 @@ Theory of operation. The charge is the autopilot's, in percent or as a state of 
 may be wrong, so two in a row must agree, and unknown is not full. Low: the current leg is finished,
 the estimates of the target are reported, and the mode that follows a report is requested. Critical:
 the vehicle is handed back at once by requesting the return, and only once in a flight: an operator
-who takes control to us again knows the charge, and the vehicle then holds.
+who hands control over again knows the charge, and the vehicle then holds.
 
-An autopilot that doubts its position flies our setpoints to the wrong position, and the ranging is
-assigned to wrong positions too. So the vehicle holds as soon as that is known, and is handed back
-when it lasts. The estimator's verdict decides, not one of its inputs: a receiver that loses its fix
-while another one has one changes nothing. If all lost it, an estimator that still has a position
-after the longest dead reckoning of the autopilots has another source, and the plan continues,
-slower.
+With a poor position estimate the autopilot flies our setpoints to wrong positions, and measurements
+are assigned to wrong positions. So the vehicle holds at once, and is handed back if that lasts. The
+estimator's verdict decides, not one of its inputs: a receiver that loses its fix changes nothing
+while another has one. If all lose it, an estimator that still has a position after the longest dead
+reckoning of the autopilots has another source, and the plan continues, slower.
 
-"Landed" in our mode and in our altitude band is doubted: the vehicle holds, for as long as its
-throttle does not confirm it.
+"Landed", reported in our mode inside the altitude band, is not accepted until an idle throttle
+confirms it: meanwhile the vehicle holds.
 
 A failsafe raised in flight while the mode stays ours has an unknown cause: the vehicle holds,
 unless a low battery explains it.
@@ -131,7 +130,7 @@ HAND_BACK_AFTER_S = 5.0
 
 
 class _Condition:
-    """A condition that comes and goes; it ends only after `GOOD_S` without it."""
+    """An intermittent condition; it ends only after `GOOD_S` without it."""
 
     def __init__(self) -> None:
         self.since_s: float | None = None
@@ -174,7 +173,7 @@ RECEIVER_S = 5.0
 
 
 class HealthWatch(Watch):
-    """Watches the autopilot's reports about itself; a low battery explains a failsafe."""
+    """Watches the health that the autopilot reports; a low battery explains a failsafe."""
 
     def __init__(self, battery: BatteryWatch) -> None:
         self._battery = battery

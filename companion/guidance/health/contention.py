@@ -21,8 +21,8 @@ setpoints do not touch.
 PX4 ignores the sticks in offboard unless COM_RC_OVERRIDE says otherwise, and ArduPilot does in
 GUIDED, so a pilot's stick input has no effect until the mode is switched. We treat it as a request
 for control: hold at once, and yield if the sticks stay moved. A stick is moved if it is neither in
-the middle nor where it was when control began: a throttle without a spring rests anywhere, and
-releasing the other sticks after the mode switch is not a movement. Pulses are the pilot's only
+the middle nor where it was when control began: a throttle without a spring rests at any position,
+and releasing the other sticks after the mode switch is not a movement. Pulses are the pilot's only
 while the autopilot reports its RC input as healthy: a receiver that lost its transmitter goes to a
 failsafe position, and when it is heard again the sticks rest where they are then.
 
@@ -42,7 +42,7 @@ from companion.guidance.control_authority import Finding, Reason, Verdict, Watch
 TOLERANCE_M = 1.5
 """Largest distance from our path at which an echo is ours: PX4 smooths, and floats are rounded."""
 MEMORY_S = 30.0
-"""Memory of our path: ArduPilot echoes a target for ever, and we do not know older ones of ours."""
+"""Memory of our path; ArduPilot echoes a target indefinitely, also one that is older."""
 GRACE_S = 2.0
 """Time after the start of control, or a pause, during which an echo may be of earlier targets."""
 PAUSE_S = 0.5

@@ -5,7 +5,7 @@ ranging ages, the estimate is extrapolated: the target is where it was, less cer
 and the vehicle slows down accordingly. When ranging is too old, or the estimate too uncertain, the
 vehicle holds, and a single measurement does not end that: some must agree first. A link or a
 vehicle position that was lost must be back for a while, with the mode reported again, before
-control continues: an input that returns for a moment is often lost again.
+control continues: an input that has just returned is often lost again.
 
 HOLD, RESUME, RETURN and GRANT of the operator, besides the mode switch, are answered with a text:
 accepted, or refused with the reason. Views ask for the objection beforehand, so that a button
@@ -33,7 +33,7 @@ REGAIN_S = 1.0
 """Time for which link and position must be back."""
 LINK_LOSS_REASONS = (Reason.NO_LINK, Reason.MODE_UNKNOWN)
 AGREEING = 5
-"""Measurements that the filter accepted since the dropout, before it counts as over."""
+"""Accepted measurements after which a dropout of the ranging is over."""
 COAST_SHARE = 0.5
 """Largest share of the speed limit while ranging ages."""
 OTHER_TARGET_EVERY_S = 10.0
@@ -50,7 +50,7 @@ class InputWatch(Watch):
         self._back_s: float | None = None
         self._agreed = 0
         self._is_dropout = True
-        """True if ranging was lost, or never there, and has not agreed since."""
+        """True if ranging is missing, or too few measurements were accepted since it returned."""
 
     def note_accepted(self) -> None:
         """Note a measurement that the filter accepted without restarting."""

@@ -8,10 +8,10 @@ direction only.
 
 A simulated autopilot on a busy computer runs slow by per cents, so offset and rate are estimated
 together, by a Kalman filter of two states. An exchange that deviates clearly from the prediction is
-rejected; five in a row that agree with each other show a clock that slipped or stood still, and
-restart the filter. Meanwhile requests follow each other quickly. An answer that is dated back makes
-the offset too large, never too small: exchanges below the prediction stay in the row, although one
-above it agrees in between.
+rejected; a series of five that agree with each other shows a clock that slipped or stood still, and
+restarts the filter. Meanwhile requests follow each other quickly. An answer that is dated back
+makes the offset too large, never too small: exchanges below the prediction remain in the series
+even if one above it agrees in between.
 
 Only the answer to a request of ours counts, and once: answers to another station, late or forged
 ones cannot move the clock. A clock that went back is that of a restarted autopilot only if it shows
@@ -37,7 +37,7 @@ FIRST_EXCHANGES = 10
 PERIOD_S = 0.5
 """Interval of requests, because a restart must be noticed within a second."""
 BEST_OF = 16
-"""Periods in which the shortest round trip is searched, however many answers come at once."""
+"""Periods in which the shortest round trip is searched, however many answers arrive at once."""
 MAX_ROUND_TRIPS = 128
 """Largest number of stored round trips, prompt and delayed."""
 SLOWER_S = 0.010
@@ -80,7 +80,7 @@ PROMPT_S = 1.0
 PROMPT_WITHIN_S = 3.0
 """Time for which a prompt answer shows that; with half of all lost it is missed once in six."""
 SLOW_WITHIN_S = 15.0
-"""Time for which a late answer shows a slow link, if none comes promptly."""
+"""Time for which a late answer shows a slow link, if none is prompt."""
 MAX_OPEN = 32
 """Maximum number of unanswered requests: those of three seconds, also at the quick interval."""
 REBOOT_BACKWARD_S = 1.0
@@ -105,9 +105,9 @@ NO_RATE = Rate(0.0, DRIFT_ALLOWANCE)
 class Lateness(Enum):
     """Delay of incoming messages on the link."""
 
-    NONE = "answers come promptly, or never came"
-    UNKNOWN = "answers came, and come no more"
-    SLOW = "answers come late"
+    NONE = "answers arrive promptly, or never arrived"
+    UNKNOWN = "answers stopped arriving"
+    SLOW = "answers arrive late"
 
     __hash__ = object.__hash__  # as in `Phase`
 

@@ -6,8 +6,8 @@ to two centimetres. Where it is not (another firmware, another origin than repor
 positions and setpoints would be off by as much. So pairs of one moment are compared all the time. A
 difference is used once it is significant: as another projection, if one explains all pairs, which
 then holds far away, too; otherwise as an offset and a scale of each axis, fitted by least squares
-with a zero prior. A pair that differs from the one before counts only once the next one differs
-alike, so that a single wrong report enters no fit.
+with a zero prior. A pair that differs from the one before counts only once the next one differs by
+as much, so that a single wrong report enters no fit.
 """
 
 from __future__ import annotations

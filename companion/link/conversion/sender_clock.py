@@ -4,12 +4,12 @@ Theory of operation. A remote stamp (`time_boot_ms`, `time_usec`) becomes local 
 smallest difference arrival - stamp seen so far: delay only ever adds to it, so the smallest is the
 nearest to the truth. The minimum is forgotten slowly, so that a drifting clock is followed. A clock
 that runs slow by per cents is identified by its minima of eight seconds, if they lie on a straight
-line; a link that becomes slower once does not look like that.
+line; a link that becomes slower once does not have such minima.
 
 A stamp that goes back has one of four causes: the counter wrapped, the frame is late, the clock
 slipped, or the sender restarted. A wrap is a step by almost exactly 2**32 ms. The last two are
-confirmed by stamps of the new clock that come for a while, as fast as time passes, and none of the
-old one in between. Until then they are treated as late. A restarted sender has not been up for
+confirmed by stamps of the new clock that continue for a while, as fast as time passes, with none of
+the old one in between. Until then they are treated as late. A restarted sender has not been up for
 longer than it was silent; one that shows more has a clock that slipped.
 
 The autopilot's clock is known better, by the exchange of times (`clock_sync`). A slip or rate that
