@@ -21,8 +21,8 @@ from companion.geometry.polygons import Point, depth_m
 from companion.mav.dialect import mavlink
 from sim_link.autopilot.control_inputs import StickInput
 from sim_link.autopilot.estimator import EstimatedMotion, Estimator, Kinematics
+from sim_link.autopilot.flight_controller import STEP_S, FlightController
 from sim_link.autopilot.mission_executor import MissionRun
-from sim_link.autopilot.pilot import STEP_S, Pilot
 from sim_link.autopilot.protocols.plan_items import (
     AMSL_FRAMES,
     GLOBAL_FRAMES,
@@ -106,7 +106,7 @@ class Area:
 
 
 class Geofence:
-    """Areas to fly in, or not: inside any inclusion is inside (PX4 and ArduPilot alike)."""
+    """Inclusions and exclusions; inside any inclusion is inside, as in PX4 and ArduPilot."""
 
     def __init__(self, areas: Sequence[Area] = ()) -> None:
         self._inclusions = [area for area in areas if area.is_inclusion]
@@ -203,7 +203,7 @@ class Aircraft:
         self.origin_changes = 1
         self.battery = Battery(scenario.battery)
         self.sticks = StickInput(scenario.rc)
-        self.pilot = Pilot(scenario.vehicle, self.home_enu_m)
+        self.controller = FlightController(scenario.vehicle, self.home_enu_m)
         self.mission = MissionRun(self._locate, first_mission_item)
         corners = scenario.fence.corners_enu_m
         self.plan_ids = (0, 0, 0)
@@ -252,7 +252,7 @@ class Aircraft:
 
     def set_home(self, position_enu_m: PositionEnu, *, is_given: bool) -> None:
         """Move home; `is_given` if requested by a station."""
-        self.home_enu_m = self.pilot.home_enu_m = position_enu_m
+        self.home_enu_m = self.controller.home_enu_m = position_enu_m
         self.is_home_given = is_given
         self.home_set_s = self.time_s
         self.home_changes += 1

@@ -1,14 +1,14 @@
 """Control inputs of the vehicle: streamed setpoints, the pilot's sticks, and the echoed target.
 
-Sticks are the scenario's transmitter, or a station's joystick over MAVLink. Setpoints: what the two
-autopilots share in reading one. Source: MAVLink common, POSITION_TARGET_TYPEMASK and messages 84
-and 86.
+Sticks are the scenario's transmitter, or a station's joystick over MAVLink. Of setpoints the module
+has what both autopilots decode in the same way. Source: MAVLink common, POSITION_TARGET_TYPEMASK
+and messages 84 and 86.
 
 `Echo` is the target that POSITION_TARGET_LOCAL_NED and _GLOBAL_INT report. The two autopilots
-report it differently. PX4 shows what its position controller works with, in every mode
-that has one: the position if there is one, and always the velocity and acceleration that follow
-from it, the yaw and the yaw rate; fields that mean nothing are NaN. ArduCopter shows the target of
-GUIDED and nothing else; fields that mean nothing are 0, and yaw never means anything.
+report it differently. PX4 shows what its position controller works with, in every mode that has
+one: the position if there is one, and always the velocity and acceleration that follow from it, the
+yaw and the yaw rate; unused fields are NaN. ArduCopter shows only the target of GUIDED; unused
+fields are 0, and yaw is never used.
 
 Source: PX4 `mavlink/streams/POSITION_TARGET_LOCAL_NED.hpp` and `mc_pos_control/PositionControl`;
 ArduCopter `GCS_Mavlink.cpp`, `send_position_target_local_ned`.
@@ -58,7 +58,7 @@ class Setpoint:
 
 
 class SetpointMonitor:
-    """Keeps the newest valid setpoint and when it came."""
+    """Keeps the newest valid setpoint and its time of arrival."""
 
     def __init__(self) -> None:
         self.arrived_s: float | None = None
@@ -143,7 +143,7 @@ THROTTLE_DOWN = Sticks(up=-1.0)
 
 
 def sticks_from(message: mavlink.MAVLink_manual_control_message) -> Sticks:
-    """Return the deflections of MANUAL_CONTROL; an axis beyond its range is not there, and centred.
+    """Return the deflections of MANUAL_CONTROL; an axis beyond its range is absent, and centred.
 
     Source: MAVLink common, MANUAL_CONTROL (INT16_MAX: the axis is invalid; z is thrust, 500 is
     half); PX4 `handle_message_manual_control` takes no axis beyond 1000 either.
@@ -204,7 +204,7 @@ class StickInput:
         return self._lost_pulses if held is None and now_s < self._lost_until_s else held
 
     def held(self, now_s: float) -> Sticks | None:
-        """Return the deflections while a joystick or the pilot holds them; None if they rest."""
+        """Return the deflections while a joystick or the pilot deflects; None at rest."""
         is_held = self.is_joystick_alive(now_s) or now_s < self._moved_until_s
         return self.read(now_s) if is_held else None
 
@@ -239,8 +239,8 @@ class Echo:
     yaw_ned_rad: float | None = None
     yaw_rate_ned_radps: float | None = None
     """Yaw rate, clockwise positive."""
-    nothing: float = 0.0
-    """Value of a field without a meaning."""
+    unused: float = 0.0
+    """Value of an unused field."""
 
     @property
     def type_mask(self) -> int:

@@ -1,10 +1,10 @@
 """The simulated vehicle on its MAVLink links: bytes and time in, bytes out.
 
 Theory of operation. Physics advances in steps of 20 ms up to the time of the timer, and every
-message is built at a step, so a run depends on its scenario, seed and inputs only. A timer that
-comes more than half a second late (a suspended process) skips the steps it missed: no burst of
-stale telemetry, and the vehicle has not moved in between. On invented time this is lockstep:
-nothing moves until the caller advances the time.
+message is built at a step, so a run depends on its scenario, seed and inputs only. A timer more
+than half a second late (a suspended process) skips the steps it missed: no burst of stale
+telemetry, and the vehicle has not moved in between. On invented time this is lockstep: nothing
+moves until the caller advances the time.
 
 Every link has its own streams and sequence numbers, and so has every peer of a shared link that
 asks for rates of its own or speaks MAVLink 1 (`protocols.link_layer`). A link with one peer, as a
@@ -26,6 +26,7 @@ from companion.mav.codec import MAGIC_V1
 from companion.mav.dialect import Message, mavlink
 from companion.mav.endpoint import Address, Chunk
 from sim_link.autopilot.aircraft import Occurrence
+from sim_link.autopilot.flight_controller import STEP_S
 from sim_link.autopilot.incidents import (
     AutopilotStall,
     IncidentRecord,
@@ -43,7 +44,6 @@ from sim_link.autopilot.other_senders import (
     reject_command,
     station_orders,
 )
-from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel, LinkSetup, Outgoing
 from sim_link.autopilot.protocols.link_layer import NO_SECURITY, LinkLayer, LinkSecurity
 from sim_link.autopilot.scenario import Scenario
@@ -116,7 +116,7 @@ class SimEndpoint:
         self.vehicle = SimVehicle(scenario, np.random.default_rng(noise_seed), body)
         self.vehicle.flavour.parameters.load_text(parameters, name)
         self._services = Services(self.vehicle, self._links, self.links.router.knows)
-        self.links.keep_apart(self._services.requests.channels)
+        self.links.separate(self._services.requests.channels)
         self._payload = RadioPayload(
             scenario.payload,
             scenario.channel,
@@ -145,10 +145,10 @@ class SimEndpoint:
             frame = bytes(message.get_msgbuf()[:1])
             if frame[0] == MAGIC_V1 and services.addressing.is_for_us(message):
                 services.requests.open(origin, boot_s)  # in MAVLink 1, unlike the rest of its link
-                self.links.keep_apart(services.requests.channels)
+                self.links.separate(services.requests.channels)
                 self.links.speaks_as(origin, frame)
             answers = services.handle(message, origin, boot_s)
-            self.links.keep_apart(services.requests.channels)
+            self.links.separate(services.requests.channels)
             self._send_all(answers)
             refused = reject_command(message, self._scenario.system_id)
             if refused is not None:
@@ -198,7 +198,7 @@ class SimEndpoint:
         if channel.peer is not None:
             self.links.forget(channel)
             self._services.requests.forget(channel)
-            self.links.keep_apart(self._services.requests.channels)
+            self.links.separate(self._services.requests.channels)
 
     def handle_timer(self, now_s: float) -> None:
         """Step the physics up to `now_s` and queue the telemetry that is due."""

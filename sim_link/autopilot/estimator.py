@@ -18,7 +18,7 @@ its estimate, so it holds the estimated position and the true one wanders off by
 of the fix (RTK fixed, float, lost) is a jump: another error, of another size.
 
 The reported accuracy is the true sigma times `reported_ratio`, below 1 for a receiver between walls
-that does not know of its reflections.
+that does not detect reflections.
 
 Source: P. Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation (2013), 9.3.
 """
@@ -265,7 +265,7 @@ class Estimator:
         return self.local_from_world(self.reported_enu_m)
 
     def test_ratio(self, of: EstimatorVote) -> float:
-        """Return how far a measurement contradicts: PX4's test ratio, ArduPilot's variance."""
+        """Return the innovation test ratio (PX4) or variance (ArduPilot) of a measurement."""
         ratio = GOOD_RATIO if self.has_fix else BLIND_RATIO
         if of == "compass":
             ratio = GOOD_RATIO

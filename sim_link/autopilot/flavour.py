@@ -1,7 +1,7 @@
 """Decisions of an autopilot, and their order in every physics step.
 
 Theory of operation. A flavour owns the mode, the arming and the setpoints of one aircraft. Per step
-it watches its time-outs and failsafes, settles what changed (the pilot gets a new task, an
+it watches its time-outs and failsafes, settles what changed (the controller gets a new task, an
 occurrence is noted), flies, and looks at the ground. Commands and setpoints arrive between steps
 and settle at once, so that an answer and the state agree.
 
@@ -30,8 +30,8 @@ from sim_link.autopilot.control_inputs import (
     TargetMessage,
     is_on_earth,
 )
+from sim_link.autopilot.flight_controller import Task
 from sim_link.autopilot.mission_executor import LegKind, MissionLeg
-from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.command_protocol import Command, CommandForms, CommandResult
 from sim_link.autopilot.protocols.message_streams import RequestProfile, StreamProfile
 from sim_link.autopilot.protocols.parameter_protocol import ParameterProfile, ParameterStore
@@ -158,7 +158,7 @@ class Firmware(NamedTuple):
     answers_for_others: bool
     """True if it obeys commands to unheard components of its system, as itself."""
     dialect: Container[int] | None = None
-    """Ids of the messages that it knows; it does not pass on others. None if it passes on all."""
+    """Ids of the messages that it forwards; None if it forwards all."""
     gives_plan_ids: bool = False
     """True if MISSION_CURRENT has ids of mission, fence and rally points."""
 
@@ -240,7 +240,7 @@ class AutopilotFlavour(ABC):
     @property
     @abstractmethod
     def task(self) -> Task:
-        """Task of the pilot."""
+        """Task of the flight controller."""
 
     @property
     @abstractmethod
@@ -339,7 +339,7 @@ class AutopilotFlavour(ABC):
         return result
 
     def settle(self, now_s: float, why: str = "") -> None:
-        """Give the pilot a changed task and note the change; called after every change."""
+        """Give the controller a changed task and note the change; called after every change."""
         mode, is_armed, task = seen = (self.mode, self.is_armed, self.task)
         if seen == self._seen:
             return
@@ -349,7 +349,7 @@ class AutopilotFlavour(ABC):
             self._armed_changed(is_armed)
         if old_task is Task.FLY_MISSION is not task:
             self._leave_mission()
-        self.aircraft.pilot.enter(task, self.aircraft.motion)
+        self.aircraft.controller.enter(task, self.aircraft.motion)
         if task is Task.FLY_MISSION and is_armed and not is_first:
             self.aircraft.mission.start()
         if (mode, is_armed) == (old_mode, was_armed):
@@ -391,19 +391,19 @@ class AutopilotFlavour(ABC):
             self.leg = None
 
     def _fly(self, now_s: float) -> None:
-        aircraft, pilot = self.aircraft, self.aircraft.pilot
+        aircraft, controller = self.aircraft, self.aircraft.controller
         if not aircraft.is_armed:
             aircraft.move(None, None)
             return
         body = aircraft.motion
-        if pilot.task is Task.FLY_MISSION:
+        if controller.task is Task.FLY_MISSION:
             position, is_on_ground = body.position_enu_m, body.is_on_ground
             self.leg = aircraft.mission.leg(position, is_on_ground and aircraft.has_flown, now_s)
-        sticks = aircraft.sticks.read(now_s) if pilot.task is Task.FLY_BY_STICKS else None
+        sticks = aircraft.sticks.read(now_s) if controller.task is Task.FLY_BY_STICKS else None
         setpoint = self.flown_setpoint
         aircraft.move(
-            pilot.command(setpoint, self.leg, sticks, body),
-            pilot.yaw_ned_rad(setpoint, sticks, aircraft.heading_ned_rad),
+            controller.command(setpoint, self.leg, sticks, body),
+            controller.yaw_ned_rad(setpoint, sticks, aircraft.heading_ned_rad),
         )
 
     @property

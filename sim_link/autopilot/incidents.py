@@ -79,13 +79,13 @@ class IncidentRecord(VehicleFault, frozen=True):
 
 
 class PilotMode(IncidentRecord, frozen=True, tag="pilot_mode"):
-    """The pilot turns the mode switch, refused where the autopilot would; event."""
+    """The pilot moves the mode switch, and the autopilot may refuse the mode; event."""
 
     mode: FlightMode = FlightMode.HOLD
 
 
 class Failsafe(PilotMode, frozen=True, tag="failsafe"):
-    """The mode leaves as by a failsafe, which the autopilot does not show; event."""
+    """The mode changes as by a failsafe that the autopilot does not report; event."""
 
     mode: FlightMode = FlightMode.RETURN
 
@@ -120,7 +120,7 @@ class EkfPoor(IncidentRecord, frozen=True, tag="ekf_poor"):
     ratio: Positive = 1.5
     """PX4's innovation test ratios, ArduPilot's variances; both doubt from 0.8 or 1 on."""
     of: EstimatorVote = "all"
-    """The measurement that contradicts."""
+    """Measurement that contradicts the estimate."""
 
 
 class FalseLanding(IncidentRecord, frozen=True, tag="false_landing"):
@@ -153,7 +153,7 @@ class BatteryCharge(IncidentRecord, frozen=True, tag="battery"):
 
 
 class WindChange(IncidentRecord, frozen=True, tag="wind"):
-    """Change of the wind with a direction to which it blows; then the scenario's wind again."""
+    """Change of the wind, by the direction to which it blows; then the scenario's wind again."""
 
     east_mps: WindSpeed = 12.0
     north_mps: WindSpeed = 0.0
@@ -166,7 +166,7 @@ class VehicleReboot(IncidentRecord, frozen=True, tag="vehicle_reboot"):
 
 
 class ClockRate(IncidentRecord, frozen=True, tag="clock_rate"):
-    """Rate of the vehicle's clock, as on a computer that does not keep up; then true again."""
+    """Rate of the vehicle's clock, as on a computer that does not keep up; then 1 again."""
 
     rate: ClockPace = 0.988
     """Seconds of its clock a second; PX4's own simulator was 1.2 % slow."""
@@ -180,7 +180,7 @@ class ClockSlip(IncidentRecord, frozen=True, tag="clock_slip"):
 
 
 class AutopilotStall(IncidentRecord, frozen=True, tag="autopilot_stall"):
-    """Stall of the autopilot's computer: its clock waits, and input is read afterwards."""
+    """Stall of the autopilot's computer: its clock stops, and input is read afterwards."""
 
     duration_s: StallLength = 1.2
 

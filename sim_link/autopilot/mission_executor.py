@@ -17,10 +17,10 @@ from companion.mav.dialect import mavlink
 from sim_link.autopilot.protocols.plan_items import NO_VALUE, MissionState, PlanItem
 
 ACCEPTANCE_M = 2.0
-"""Radius in which a waypoint counts as reached where the item names none (PX4 NAV_ACC_RAD)."""
+"""Radius in which a waypoint counts as reached, unless the item has one (PX4 NAV_ACC_RAD)."""
 ACCEPTANCE_UP_M = 0.8
 MAX_STEPS = 1000
-"""Items without a way to fly that are done in one go: a loop of jumps must end."""
+"""Maximum number of items executed at once without flying: a loop of jumps must end."""
 
 
 TIMED_WAYPOINTS = (
@@ -35,7 +35,7 @@ Locate = Callable[[PlanItem], PositionEnu]
 
 
 class LegKind(Enum):
-    """Kind of task that an item gives to the pilot."""
+    """Kind of task of an item."""
 
     FLY = "fly"
     LAND = "land"

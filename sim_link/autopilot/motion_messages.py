@@ -2,7 +2,7 @@
 
 Each function is named as its message and gives its fields in the order of the XML, or None where
 there is nothing to report. Degrees, millimetres, NED and boot milliseconds begin here. Sensors and
-actuators are what a point mass with four motors would show. Source: MAVLink common.
+actuators are those of a point mass with four motors. Source: MAVLink common.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ def vfr_hud(vehicle: SimVehicle) -> Fields:
 
 def nav_controller_output(vehicle: SimVehicle) -> Fields:
     """Return the distance and direction to where it goes."""
-    pilot, position = vehicle.aircraft.pilot, vehicle.aircraft.motion.position_enu_m
-    goal = pilot.goal_enu_m or pilot.hold_enu_m
+    controller, position = vehicle.aircraft.controller, vehicle.aircraft.motion.position_enu_m
+    goal = controller.goal_enu_m or controller.hold_enu_m
     bearing = round(math.degrees(math.atan2(goal[0] - position[0], goal[1] - position[1])))
     distance_m = min(UINT16_MAX, round(math.dist(goal[:2], position[:2])))
     tilt = [math.degrees(angle) for angle in _roll_and_pitch(vehicle)]
@@ -190,7 +190,7 @@ def position_target_local_ned(vehicle: SimVehicle) -> Fields | None:
         return None
     shown = vehicle.estimator.shown_from_world(_filled(echo.position_enu_m, 0.0))
     east, north, up = (
-        echo.nothing if axis is None else value
+        echo.unused if axis is None else value
         for value, axis in zip(shown, echo.position_enu_m, strict=True)
     )
     head = (boot_ms(vehicle), mavlink.MAV_FRAME_LOCAL_NED, echo.type_mask)
@@ -209,17 +209,17 @@ def position_target_global_int(vehicle: SimVehicle) -> Fields | None:
 
 
 def _motion(echo: Echo) -> tuple[float, ...]:
-    nothing = echo.nothing
+    unused = echo.unused
     return (
-        *ned_from_enu(_filled(echo.velocity_enu_mps, nothing)),
-        *ned_from_enu(_filled(echo.acceleration_enu_mps2, nothing)),
-        nothing if echo.yaw_ned_rad is None else echo.yaw_ned_rad,
-        nothing if echo.yaw_rate_ned_radps is None else echo.yaw_rate_ned_radps,
+        *ned_from_enu(_filled(echo.velocity_enu_mps, unused)),
+        *ned_from_enu(_filled(echo.acceleration_enu_mps2, unused)),
+        unused if echo.yaw_ned_rad is None else echo.yaw_ned_rad,
+        unused if echo.yaw_rate_ned_radps is None else echo.yaw_rate_ned_radps,
     )
 
 
-def _filled(axes: Axes, nothing: float) -> PositionEnu:
-    east, north, up = (nothing if axis is None else axis for axis in axes)
+def _filled(axes: Axes, unused: float) -> PositionEnu:
+    east, north, up = (unused if axis is None else axis for axis in axes)
     return (east, north, up)
 
 
@@ -247,7 +247,7 @@ def attitude_target(vehicle: SimVehicle) -> Fields:
 
 
 def servo_output_raw(vehicle: SimVehicle) -> Fields:
-    """Return four motors that turn alike."""
+    """Return the outputs of four motors at equal speed."""
     pulse_us = MOTOR_OFF_US
     if vehicle.is_armed:
         pulse_us = round(MOTOR_IDLE_US + _thrust_share(vehicle) * MOTOR_RANGE_US)
@@ -315,7 +315,7 @@ def vibration(vehicle: SimVehicle) -> Fields:
 
 
 def distance_sensor(vehicle: SimVehicle) -> Fields:
-    """Return a laser that looks down; beyond its reach one centimetre more than that."""
+    """Return the range of a downward laser; out of range: its maximum and one centimetre."""
     range_cm = min(round(1e2 * vehicle.body.height_m), RANGE_MAX_CM + 1)
     reach = (RANGE_MIN_CM, RANGE_MAX_CM, max(RANGE_MIN_CM, range_cm))
     kind = (mavlink.MAV_DISTANCE_SENSOR_LASER, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270)

@@ -29,6 +29,7 @@ from companion.geometry.coordinates import ned_from_enu
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import POSITION_ONLY, Message, mavlink, message_from_ranging
 from companion.mav.payloads import raw_value
+from sim_link.autopilot.flight_controller import STEP_S
 from sim_link.autopilot.incidents import (
     ComponentName,
     StationFence,
@@ -37,7 +38,6 @@ from sim_link.autopilot.incidents import (
     StationRates,
     StationRecord,
 )
-from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.addressing import Channel
 from sim_link.autopilot.protocols.message_streams import DUE_TOLERANCE_S, message_id
 from sim_link.autopilot.scenario import PayloadParams

@@ -22,6 +22,7 @@ from sim_link.autopilot.ardupilot.flavour import ArduPilotFlavour
 from sim_link.autopilot.control_inputs import StickInput, Sticks, sticks_at
 from sim_link.autopilot.estimator import Estimator
 from sim_link.autopilot.flavour import AutopilotFlavour, Handler
+from sim_link.autopilot.flight_controller import STEP_S
 from sim_link.autopilot.incidents import (
     BatteryCharge,
     ClockRate,
@@ -38,7 +39,6 @@ from sim_link.autopilot.incidents import (
     RcLoss,
     WindChange,
 )
-from sim_link.autopilot.pilot import STEP_S
 from sim_link.autopilot.protocols.command_protocol import StampClock
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.px4 import commands as px4_commands

@@ -1,7 +1,7 @@
 """ArduCopter's reaction to each MAV_CMD.
 
-It is as permissive as the real one: a take-off to NaN climbs without end, mode numbers are cut to 8
-bits.
+It is as permissive as real ArduCopter: a take-off to NaN climbs without end, mode numbers are cut
+to 8 bits.
 
 Source: MAVLink common, MAV_CMD; ArduCopter 4.5 as observed in SITL.
 """
@@ -107,7 +107,7 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
     if flavour.fence_margin_m((*aircraft.motion.position_enu_m[:2], up_m)) < 0.0:
         aircraft.say(ERROR, "Takeoff: altitude is outside the fence")
         return FAILED
-    aircraft.pilot.takeoff_up_m = up_m
+    aircraft.controller.takeoff_up_m = up_m
     flavour.guided.take_off()
     return ACCEPTED
 
@@ -159,7 +159,7 @@ def _condition_yaw(flavour: ArduPilotFlavour, command: Command, _now_s: float) -
         sign = -1.0 if direction == -1.0 else 1.0
         yaw = flavour.aircraft.heading_ned_rad + sign * yaw
     flavour.guided.turn_to(yaw)
-    flavour.aircraft.pilot.hold_yaw_ned_rad = yaw
+    flavour.aircraft.controller.hold_yaw_ned_rad = yaw
     return ACCEPTED
 
 

@@ -57,7 +57,7 @@ from sim_link.autopilot.control_inputs import (
     is_on_earth,
     turned,
 )
-from sim_link.autopilot.pilot import STEP_S, Task
+from sim_link.autopilot.flight_controller import STEP_S, Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.protocols.plan_items import GLOBAL_FRAMES
 
@@ -76,8 +76,8 @@ class Target(NamedTuple):
     """Target of GUIDED that a message sets, or its refusal."""
 
     setpoint: Setpoint | None
-    """Position, held for ever once its velocity has timed out, or a motion, which times out after
-    GUID_TIMEOUT. None: stop."""
+    """Position, held indefinitely once its velocity has timed out, or a motion, which times out
+    after GUID_TIMEOUT. None: stop."""
     text: str = ""
     """Text for the operators about a refusal."""
 
@@ -206,7 +206,7 @@ class Guided:
 
     @property
     def task(self) -> Task:
-        """Task that the state gives to the pilot."""
+        """Task of the flight controller in this state."""
         if self.is_paused:
             return Task.STAY
         match self.state:

@@ -8,8 +8,8 @@ throttle failsafe); ranges follow the Copter Parameter List, and bind scenarios 
 set what is out of range. The battery failsafes are BATT_FS_*, as since Copter 3.6.
 
 Other firmwares each have a table of modes of their own; a number that one of them does not have is
-refused, and one that has a meaning there is interpreted by it. PX4 numbers modes alike for all
-types of vehicle.
+refused, and one that has a meaning there is interpreted by it. PX4 has one numbering for all types
+of vehicle.
 
 Source of the modes: ArduPilot `mode.h` of Copter, Plane, Rover, Sub and Tracker; ArduCopter 4.5 as
 observed in SITL.
@@ -26,8 +26,8 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import Message, mavlink
 from companion.mav.flight_modes import OFFBOARD_NUMBER
 from sim_link.autopilot.flavour import read_firmware
+from sim_link.autopilot.flight_controller import STEP_S, Task
 from sim_link.autopilot.incidents import VehicleTypeName
-from sim_link.autopilot.pilot import STEP_S, Task
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs
 from sim_link.autopilot.scenario import Scenario
@@ -40,7 +40,7 @@ def ardupilot_parameters(scenario: Scenario) -> ParameterStore:
     """Return ArduCopter's parameters as a scenario has them.
 
     The voltages of the battery failsafe are those of the simulated four-cell pack at 15 and 7 %;
-    what is done about it is ArduPilot's default: a text.
+    the reaction is ArduPilot's default: a text.
     """
     initial: dict[str, float] = {
         "SYSID_THISMAV": scenario.system_id,
@@ -125,7 +125,7 @@ NEVER_ENTERED = {
     **{14: "FLIP", 15: "AUTOTUNE", 18: "THROW", 22: "FLOWHOLD"},
     **{23: "FOLLOW", 25: "SYSTEMID", 27: "AUTO_RTL"},
 }
-"""Modes that refuse to begin; the real one's THROW waits for a throw."""
+"""Modes that are never entered; real ArduCopter's THROW waits for a throw."""
 MODE_BY_PURPOSE: dict[FlightMode, CopterMode] = {
     mode.mode: mode for mode in _TABLE if mode.number in (0, 1, 2, 3, 4, 5, 6, 9, 17)
 }

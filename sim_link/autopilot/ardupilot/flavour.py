@@ -52,8 +52,8 @@ from sim_link.autopilot.flavour import (
     FenceState,
     HeartbeatState,
 )
+from sim_link.autopilot.flight_controller import SpeedLimits, Task
 from sim_link.autopilot.mission_executor import LegKind
-from sim_link.autopilot.pilot import SpeedLimits, Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.world.point_mass import stopping_point
 
@@ -82,7 +82,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.guided = Guided()
         self.copter_mode: CopterMode = STABILIZE
         self.chosen_number: int | None = None
-        """The mode that was asked for last, where its class or a script numbers it otherwise."""
+        """The last requested mode, where its class or a script numbers it otherwise."""
         self.commanded_mps: dict[int, float] = {}
         """Commanded speeds by SPEED_TYPE, until the mode changes."""
         self._failsafes = CopterFailsafes(aircraft, parameters)
@@ -106,7 +106,7 @@ class ArduPilotFlavour(AutopilotFlavour):
 
     @property
     def task(self) -> Task:
-        """Task that mode and state give to the pilot."""
+        """Task of the flight controller in this mode and state."""
         mode = self.copter_mode
         if not self.aircraft.estimator.is_position_valid and mode.task is not Task.FLY_BY_STICKS:
             return Task.DESCEND
@@ -241,7 +241,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         return ACCEPTED
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
-        """Take a setpoint, in GUIDED only, and ignore it outside the fence, as the real one does.
+        """Take a setpoint, in GUIDED only, and ignore it outside the fence, as ArduCopter does.
 
         GUIDED's angles (SET_ATTITUDE_TARGET) are not simulated: nothing moves.
         """
@@ -270,7 +270,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         """Return the target of GUIDED; None in any other mode."""
         if self.copter_mode is not GUIDED:
             return None
-        return self.guided.echo(self.aircraft.pilot.goal_enu_m)
+        return self.guided.echo(self.aircraft.controller.goal_enu_m)
 
     @property
     def flown_setpoint(self) -> Setpoint:
@@ -292,20 +292,20 @@ class ArduPilotFlavour(AutopilotFlavour):
     def settle(self, now_s: float, why: str = "") -> None:
         """Settle as the base does, with the heights of a return known before it begins."""
         if self.task is Task.CIRCLE:
-            self.aircraft.pilot.circle_radius_m = self.parameters["CIRCLE_RADIUS"] / 100.0
+            self.aircraft.controller.circle_radius_m = self.parameters["CIRCLE_RADIUS"] / 100.0
             rate_radps = math.radians(self.parameters["CIRCLE_RATE"])
-            self.aircraft.pilot.circle_rate_radps = rate_radps
+            self.aircraft.controller.circle_rate_radps = rate_radps
         if self.task is Task.RETURN:
-            pilot, home_up_m = self.aircraft.pilot, self.aircraft.home_enu_m[2]
+            controller, home_up_m = self.aircraft.controller, self.aircraft.home_enu_m[2]
             final_m = self.parameters["RTL_ALT_FINAL"] / 100.0
-            pilot.return_up_m = home_up_m + self.parameters["RTL_ALT"] / 100.0
-            pilot.final_up_m = home_up_m + final_m if final_m > 0.0 else None
-            pilot.return_loiter_s = self.parameters["RTL_LOIT_TIME"] / 1e3
+            controller.return_up_m = home_up_m + self.parameters["RTL_ALT"] / 100.0
+            controller.final_up_m = home_up_m + final_m if final_m > 0.0 else None
+            controller.return_loiter_s = self.parameters["RTL_LOIT_TIME"] / 1e3
         super().settle(now_s, why)
 
     def _after_flying(self, now_s: float) -> None:
         is_climbing = self.guided.state is GuidedState.CLIMBING and self.is_armed
-        if is_climbing and self.aircraft.pilot.has_taken_off(self.aircraft.motion):
+        if is_climbing and self.aircraft.controller.has_taken_off(self.aircraft.motion):
             self.guided.stop()
             self.settle(now_s)
 
@@ -318,7 +318,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         value, commanded_mps = self.parameters, self.commanded_mps
         home_cmps = value["RTL_SPEED"] if self.task is Task.RETURN else 0.0
         across_cmps = home_cmps or value["WPNAV_SPEED"]
-        self.aircraft.pilot.limits = SpeedLimits(
+        self.aircraft.controller.limits = SpeedLimits(
             commanded_mps.get(HORIZONTAL, max(MIN_SPEED_CMPS, across_cmps) / 100.0),
             commanded_mps.get(CLIMB, max(MIN_SPEED_CMPS, value["WPNAV_SPEED_UP"]) / 100.0),
             commanded_mps.get(DESCENT, max(MIN_SPEED_CMPS, value["WPNAV_SPEED_DN"]) / 100.0),

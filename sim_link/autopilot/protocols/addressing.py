@@ -16,7 +16,7 @@ from companion.mav.endpoint import Address
 
 
 def flags_of(prefix: str, names: str) -> int:
-    """Return the bits of a MAVLink enum by their names, with blanks between."""
+    """Return the bits of a MAVLink enum by their names, separated by blanks."""
     return sum(int(getattr(mavlink, f"{prefix}_{name}")) for name in names.split())
 
 

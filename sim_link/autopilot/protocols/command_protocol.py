@@ -107,7 +107,7 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True)
 class CommandForms:
-    """Commands that come in one form only, and the meaning of SET_MODE."""
+    """Commands that have one form only, and the meaning of SET_MODE."""
 
     int_only: frozenset[int] = frozenset()
     """UNSUPPORTED as COMMAND_LONG."""
@@ -337,13 +337,13 @@ class Clocks:
         self._waiting: list[_Question] = []
 
     def count(self, message: Message, partner: Partner) -> None:
-        """Note a message that has come; it waits behind the requests of its channel."""
+        """Note a received message; it waits behind the requests of its channel."""
         for question in self._waiting:
             if question.partner.channel == partner.channel:
                 question.bytes_waiting += len(message.get_msgbuf())
 
     def timesync(self, message: Message, partner: Partner, now_s: float) -> Message | None:
-        """Return the answer to a TIMESYNC; None if it comes later, and for an answer to ours."""
+        """Return the answer to a TIMESYNC; None if it is sent later, and for an answer to ours."""
         if not isinstance(message, mavlink.MAVLink_timesync_message) or message.tc1 != 0:
             return None
         system_id, component_id = targets_of_frame(bytes(message.get_msgbuf()))

@@ -5,7 +5,7 @@ only then, if its signature holds where there is a key, decoded for the vehicle.
 sends leaves each link with the link's own sequence number, in the link's MAVLink version, signed
 where there is a key. Peers that share a link share its frames: a sequence number that one of them
 did not get would look like a loss to it. A peer that is to get other frames than the rest (other
-streams, MAVLink 1) is kept apart: from then on it has sequence numbers of its own, which continue
+streams, MAVLink 1) is separated: from then on it has sequence numbers of its own, which continue
 those of the link.
 
 Routing. A component heard on a channel can be reached there; one component may be heard on several.
@@ -225,14 +225,14 @@ class LinkLayer:
         self._may_set_up = security.trusted_links | security.setup_links
         self._receivers = FrameReceivers()
         self._versions = {Channel(link): WireVersion() for link in self._links}
-        """Versions of every link, and of every peer that is kept apart."""
+        """Versions of every link, and of every separate peer."""
         self._codecs = {
             (channel, component): MavCodec(system_id, component)
             for channel in self._versions
             for component in component_ids
         }
         self._apart: list[frozenset[Address]] = [frozenset() for _ in self._links]
-        """Peers that are kept apart, by link."""
+        """Separate peers, by link."""
         self._setup: SigningSetup | None = None
         self._use_key()
 
@@ -284,7 +284,7 @@ class LinkLayer:
             return [each for each in self._versions if each.link == outgoing.to.link]
         return [self._sent_as(outgoing.to)]
 
-    def keep_apart(self, channels: Collection[Channel]) -> None:
+    def separate(self, channels: Collection[Channel]) -> None:
         """Send to these peers separately; those not named share their links again."""
         wanted = {each for each in channels if each.peer is not None}
         present = {each for each in self._versions if each.peer is not None}

@@ -47,7 +47,7 @@ def message_id(name: str) -> int:
 
 
 def message_ids(names: str) -> tuple[int, ...]:
-    """Return the ids of messages by their names, with blanks between."""
+    """Return the ids of messages by their names, separated by blanks."""
     return tuple(map(message_id, names.split()))
 
 

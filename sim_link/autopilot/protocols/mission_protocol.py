@@ -9,7 +9,7 @@ A repeated item is dropped silently; one further ahead triggers another request 
 Answering both with a request would double the traffic with every lost frame.
 
 Download: the client requests the list, then each item, and sends MISSION_ACK at the end. PX4 waits
-for it, even after a count of 0, and does nothing else for the partner until it comes or five
+for it, even after a count of 0, and does nothing else for the partner until it arrives or five
 seconds have passed; it sends the plan as of the request for the list. ArduPilot keeps no state and
 sends any item to any client.
 

@@ -36,7 +36,7 @@ DO_JUMP = mavlink.MAV_CMD_DO_JUMP
 
 
 def commands_named(names: str) -> frozenset[int]:
-    """Return MAV_CMDs by their names, with blanks between."""
+    """Return MAV_CMDs by their names, separated by blanks."""
     return frozenset(getattr(mavlink, f"MAV_CMD_{name}") for name in names.split())
 
 
@@ -179,7 +179,7 @@ class PlanRules:
     capacity: Mapping[PlanType, int]
     checks: PlanChecks
     retry_s: float
-    """Silence after which an item is asked for again."""
+    """Silence after which an item is requested again."""
     timeout_s: float
     """Silence after which a transfer is over."""
     is_atomic: bool = True

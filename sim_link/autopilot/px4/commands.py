@@ -1,6 +1,6 @@
 """PX4's reaction to each MAV_CMD.
 
-Where PX4 accepts nonsense (NaN to arm, main mode 99) so does this.
+It accepts the same invalid values as PX4 (NaN to arm, main mode 99).
 
 Source: PX4 1.15 as observed in SITL; MAVLink common, MAV_CMD.
 """
@@ -57,7 +57,7 @@ def _set_mode(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     if mode in (None, FlightMode.READY):
         return TEMPORARILY_REJECTED
     if mode is FlightMode.TAKEOFF:
-        flavour.aircraft.pilot.takeoff_up_m = _default_takeoff_up_m(flavour)
+        flavour.aircraft.controller.takeoff_up_m = _default_takeoff_up_m(flavour)
     return flavour.choose(mode, now_s)
 
 
@@ -71,7 +71,7 @@ def _take_off(flavour: Px4Flavour, command: Command, now_s: float) -> int:
         up_m = _default_takeoff_up_m(flavour)
     if not 0.0 < up_m - home_up_m <= MAX_HEIGHT_M:
         return DENIED
-    flavour.aircraft.pilot.takeoff_up_m = up_m
+    flavour.aircraft.controller.takeoff_up_m = up_m
     return flavour.choose(FlightMode.TAKEOFF, now_s)
 
 
@@ -81,7 +81,7 @@ def _default_takeoff_up_m(flavour: Px4Flavour) -> float:
 
 def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     """Go to a position and stay there; a missing height leaves it unchanged."""
-    aircraft, pilot = flavour.aircraft, flavour.aircraft.pilot
+    aircraft, controller = flavour.aircraft, flavour.aircraft.controller
     frame = GLOBAL if command.frame is None else command.frame
     altitude_m = command.params[6]
     up_m = aircraft.up_from(altitude_m, frame)
@@ -108,7 +108,7 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     flavour.choose(FlightMode.HOLD, now_s)
     flavour.settle(now_s, "commanded")
     speed_mps, yaw = command.params[0], command.params[3]
-    pilot.go_to(
+    controller.go_to(
         (east, north, up_m),
         speed_mps if speed_mps > 0.0 and math.isfinite(speed_mps) else None,
         yaw if math.isfinite(yaw) else None,
@@ -148,7 +148,7 @@ def _change_speed(flavour: Px4Flavour, command: Command, _now_s: float) -> int:
     speed_mps = command.params[1]
     if not (math.isfinite(speed_mps) and (speed_mps > 0.0 or speed_mps in (-1.0, -2.0))):
         return DENIED
-    flavour.aircraft.pilot.hold_speed_mps = speed_mps if speed_mps > 0.0 else None
+    flavour.aircraft.controller.hold_speed_mps = speed_mps if speed_mps > 0.0 else None
     return ACCEPTED
 
 

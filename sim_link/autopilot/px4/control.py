@@ -52,7 +52,7 @@ from sim_link.autopilot.control_inputs import (
     enu_of,
     is_on_earth,
 )
-from sim_link.autopilot.pilot import STEP_S
+from sim_link.autopilot.flight_controller import STEP_S
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.world.point_mass import GRAVITY_MPS2
 

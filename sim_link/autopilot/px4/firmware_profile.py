@@ -2,7 +2,7 @@
 
 `parameters.csv` has its parameters. Names, types, defaults and ranges of COM_*, NAV_*_ACT, GF_* and
 MPC_* were compared with the sources of its modules; the rest follows its Parameter Reference: check
-the real one where it matters. PX4 has only INT32 and REAL32, and numbers parameters in the order of
+a real PX4 where it matters. PX4 has only INT32 and REAL32, and numbers parameters in the order of
 their names; SYS_AUTOSTART 10040 is its simulated quadrotor.
 
 A link has the streams of PX4's onboard link (MAV_x_MODE 2), of its ground station link (mode 0), of
@@ -18,7 +18,7 @@ from companion.mav.codec import CRC_EXTRA_BY_ID
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import PX4_MAIN_AND_SUB
 from sim_link.autopilot.flavour import read_firmware
-from sim_link.autopilot.pilot import STEP_S, SpeedLimits, Task
+from sim_link.autopilot.flight_controller import STEP_S, SpeedLimits, Task
 from sim_link.autopilot.protocols.addressing import flags_of
 from sim_link.autopilot.protocols.message_streams import StreamProfile, message_id, message_ids
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore, read_rows, read_specs

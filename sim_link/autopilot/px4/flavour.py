@@ -1,6 +1,6 @@
 """PX4 on one aircraft: modes, arming, checks, failsafes, setpoints, and what HEARTBEAT shows.
 
-Theory of operation. Two modes are kept apart, as in PX4's commander: the *intention*, which an
+Theory of operation. Two modes are distinguished, as in PX4's commander: the *intention*, which an
 operator chose, and the *mode* that is flown. They differ only during a failsafe: the mode is the
 reaction, the intention is what it was. When the failsafe ends by itself (setpoints return), the
 intention is flown again without any command; when the operator chooses a mode before then, that
@@ -52,8 +52,8 @@ from sim_link.autopilot.flavour import (
     FenceState,
     HeartbeatState,
 )
+from sim_link.autopilot.flight_controller import Task
 from sim_link.autopilot.mission_executor import LegKind
-from sim_link.autopilot.pilot import Task
 from sim_link.autopilot.protocols.parameter_protocol import ParameterStore
 from sim_link.autopilot.px4.control import Px4Failsafes, Reaction, setpoint_from
 from sim_link.autopilot.px4.firmware_profile import (
@@ -105,7 +105,7 @@ class Px4Flavour(AutopilotFlavour):
 
     @property
     def task(self) -> Task:
-        """Task that mode and state give to the pilot."""
+        """Task of the flight controller in this mode and state."""
         needs_position = self.mode not in STICK_MODES
         if needs_position and not self.aircraft.estimator.is_position_valid:
             return Task.DESCEND
@@ -192,7 +192,7 @@ class Px4Flavour(AutopilotFlavour):
         self.intention, self._reaction = mode, None
         self._failsafes.take_over()
         if is_same and mode is FlightMode.HOLD:
-            self.aircraft.pilot.enter(self.task, self.aircraft.motion)
+            self.aircraft.controller.enter(self.task, self.aircraft.motion)
         return ACCEPTED
 
     def pilot_chooses(self, mode: FlightMode, now_s: float) -> None:
@@ -240,19 +240,19 @@ class Px4Flavour(AutopilotFlavour):
         """Return the target of the position controller; None in modes without a target."""
         if not self.is_armed or self.mode in WITHOUT_POSITION_CONTROL:
             return None
-        pilot, setpoint = self.aircraft.pilot, self.setpoints.setpoint
-        position: Axes = NOTHING if pilot.goal_enu_m is None else pilot.goal_enu_m
-        yaw, yaw_rate = pilot.hold_yaw_ned_rad, 0.0
+        controller, setpoint = self.aircraft.controller, self.setpoints.setpoint
+        position: Axes = NOTHING if controller.goal_enu_m is None else controller.goal_enu_m
+        yaw, yaw_rate = controller.hold_yaw_ned_rad, 0.0
         if self.task is Task.FOLLOW:
             position = (*(setpoint.position_en_m or (None, None)), setpoint.up_m)
             yaw, yaw_rate = setpoint.yaw_ned_rad, setpoint.yaw_rate_ned_radps or 0.0
         return Echo(
             position,
-            pilot.wanted_enu_mps,
+            controller.wanted_enu_mps,
             self.aircraft.body.acceleration_enu_mps2,
             self.aircraft.heading_ned_rad if yaw is None else yaw,
             yaw_rate,
-            nothing=math.nan,
+            unused=math.nan,
         )
 
     def disarm_delay_s(self) -> float | None:
@@ -269,7 +269,7 @@ class Px4Flavour(AutopilotFlavour):
         if not self.is_armed:
             return
         if self.mode is FlightMode.TAKEOFF:
-            if self.aircraft.pilot.has_taken_off(self.aircraft.motion):
+            if self.aircraft.controller.has_taken_off(self.aircraft.motion):
                 self.intention = FlightMode.HOLD
                 self.settle(now_s, "takeoff complete")
         elif self.mode is FlightMode.MISSION:
@@ -286,7 +286,7 @@ class Px4Flavour(AutopilotFlavour):
         self._failsafes.warn_of_battery()
         if self.parameters.revision != self._limits_revision:
             self._limits_revision = self.parameters.revision
-            self.aircraft.pilot.limits = speed_limits(self.parameters)
+            self.aircraft.controller.limits = speed_limits(self.parameters)
         if not self.is_armed:
             return
         sticks = self.aircraft.sticks.read(now_s)
@@ -315,7 +315,7 @@ class Px4Flavour(AutopilotFlavour):
         """Settle as the base does, with the height of a return known before it begins."""
         if self.mode is FlightMode.RETURN:
             height_m = self.parameters["RTL_RETURN_ALT"]
-            self.aircraft.pilot.return_up_m = self.aircraft.home_enu_m[2] + height_m
+            self.aircraft.controller.return_up_m = self.aircraft.home_enu_m[2] + height_m
         super().settle(now_s, why)
 
     def _sticks_override(self) -> bool:

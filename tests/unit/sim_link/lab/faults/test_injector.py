@@ -139,7 +139,7 @@ def test_another_system_sends_setpoints() -> None:
     flight, _, _ = flown(SecondSender(east_m=-40.0, north_m=-40.0, rate_hz=50.0, duration_s=0.5))
     flight.is_link_up = False
     flight.run(0.4)
-    goal_enu_m = flight.sim.vehicle.aircraft.pilot.goal_enu_m
+    goal_enu_m = flight.sim.vehicle.aircraft.controller.goal_enu_m
     assert goal_enu_m is not None
     assert math.dist(goal_enu_m[:2], (-40.0, -40.0)) < 0.01
 

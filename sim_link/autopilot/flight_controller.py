@@ -35,7 +35,7 @@ STEP_S = 0.02
 
 
 class Task(Enum):
-    """Task of the pilot, independent of the mode."""
+    """Task of the flight controller, independent of the mode."""
 
     STAY = "stay"
     """Stays at the hold point, which a command may move."""
@@ -58,7 +58,7 @@ class SpeedLimits:
     descent_mps: float = math.inf
 
 
-class Pilot:
+class FlightController:
     """Flies the tasks."""
 
     def __init__(self, vehicle: MulticopterParams, home_enu_m: PositionEnu) -> None:
