@@ -43,13 +43,14 @@ MAX_REASONS = 32
 POWER_ONLY = "received power only: rssi, lora_gateway and uavrt read it (docs/radios.md)"
 _POWER = re.compile(
     r"-\d{1,3}(?:\.\d+)? ?dBm\b"
-    r"|\b(?:rssi|rssi_dbm|rss|signal|signal level|power_dbm|power_db|lsnr|snr|snr_db)\b\W{1,8}-?\d",
+    r"|\b(?:rx[ _]?)?(?:rssi|rssi_dbm|rss|signal|signal level|power_dbm|power_db|lsnr|snr|snr_db)\b"
+    r"\W{1,16}-?\d",
     re.IGNORECASE,
 )
 _MEASURED = re.compile(
     r"\d ?(?:m|cm|mm|km|ft|ns|ps|deg|rad|meters?)\b|\N{DEGREE SIGN}"
     r"|(?<![a-z])(?:dist(?:ance)?|rang(?:e|es|ing)|rtt|tof|bearing|azimuth|elevation|angles?|doa)"
-    r"(?:[mc]?m|deg|rad)?(?![a-z])",
+    r"(?:[mc]?m|deg|rad)?(?![a-z])|_(?:[mc]?m|deg|rad)[\"']?\s?[:=]",
     re.IGNORECASE,
 )
 """Other quantities, as words, because names of networks hold anything: a line with one of them is

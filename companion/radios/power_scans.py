@@ -8,6 +8,8 @@ Sources: `iw` scan.c, station.c and link.c; wireless-tools iwlist.c; wpa_supplic
 BlueZ client/main.c and monitor/packet.c; zephyr `samples/bluetooth/observer`; tcpdump
 print-802_11.c; espressif/arduino-esp32 BLE `toString`; ESP32 promiscuous sketches after
 lpodkalicki/blog; sandeepmistry/arduino-LoRa, jgromes/RadioLib, StuartsProjects/SX12XX-LoRa;
+meshtastic/firmware `printPacket`; REYAX RYLR896 and RAK RUI3, AT commands; OpenWrt `iwinfo`;
+airodump-ng; merbanan/rtl_433 `-M level`;
 DonLakeFlyer/MavlinkTagController2 `PulseHandler` and `detector/pulse_detector.py`.
 """
 
@@ -23,16 +25,30 @@ from companion.radios.fields import complain_of_spans, number
 from companion.radios.line_forms import FormDecoder, form
 
 _MAC = "[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
-_EMITTER = f"(?P<emitter>{_MAC})(?![\\w:-])"
+_ALONE = r"(?![\w-]|:\S)"
+"""End of an address, behind which a colon may introduce its values."""
+_EMITTER = f"(?P<emitter>{_MAC}){_ALONE}"
 _TO = f"(?:(?!{_MAC}).)*?"
 """Rest of a line up to its other field: never the beginning of the next line, which follows at once
 where bytes were lost."""
 _BLOCK = f"(?P<block>{_MAC})"
 _NUMBER = r"[+-]?[0-9]{1,3}(?:\.[0-9]+)?(?![.,:]?[0-9])"
 _DBM = rf"(?P<power_dbm>{_NUMBER})"
+MIN_MAC_LENGTH = 12
 MIN_DBM = -114.0
-"""Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have an address;
+"""Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have a MAC address;
 lower ones, -127 or -128, stand for no value."""
+_SETTING = (
+    r"(?:noise|background|interference|floor|thresh(?:old)?|limit|cut-?off|filter|sensitivity|cca|min(?:imum)?"
+    r"|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target|wanted|expected|ref(?:erence)?"
+    r"|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp|rem(?:ote)?)(?![^\W_])"
+)
+"""Words that make the level after them one that was not received here: a setting, noise, or what a
+device transmits, or receives itself."""
+NO_POWER = "no power in dBm that can be read: try `lines`"
+A_SETTING = "level of a setting, of noise or of a transmitter: not received"
+NOT_FRESH = "airodump-ng repeats old powers: read `tcpdump -e -l -i` of the same interface"
+A_SHARE = "signal is a share, no dBm: use `iw dev wlan0 scan`"
 NO_ADDRESS = "no address: set single_emitter=true if there is one emitter"
 
 
@@ -50,17 +66,24 @@ class PowerScanDecoder(FormDecoder):
     options: PowerScanOptions
     forms = (
         form(rf"^(?:BSS|Station|Connected to) {_BLOCK}"),
-        form(rf"\bCell [0-9]+ - Address: {_BLOCK}"),
-        form(rf"^\s*(?:(?:LE|BR/EDR) )?Address: {_BLOCK}(?!.*\b(?:rssi|RSSI)\b)"),
+        form(rf"\b(?:Cell [0-9]+ - Address|Access Point): {_BLOCK}"),
+        form(rf"^\s*(?:(?:(?:LE|BR/EDR) )?Address:|bdaddr) {_BLOCK}(?!.*\b(?:rssi|RSSI)\b)"),
         form(rf"^Device {_BLOCK}(?: \((?:public|random)\))?\s*$"),
         form(r"^(?P<end>[<>@=] |Discovered a peripheral)"),
         form(r"^\[[^\]]{1,64}\][#>]\s*$"),
         form(r"^\s*inactive time:\s+(?P<idle_ms>[0-9]{1,9}) ms"),
-        form(r"^\s*signal avg:|TX power: "),
+        form(r"^\s*(?:beacon )?signal avg:|^\s*(?:last |avg )?ack signal:|TX power: "),
         form(rf"^\s*signal:\s+(?P<signal>{_NUMBER}) (?:\[[-0-9, ]+\] )?dBm"),
         form(rf"\bSignal level={_DBM} dBm"),
-        form(r"\bSignal level[=:][0-9]+/[0-9]+", "signal is a share, no dBm"),
-        form(r"^\s*signal: [0-9]+/[0-9]+", "signal is a share, no dBm"),
+        form(
+            r"\bSignal level[=:][0-9]+/[0-9]+|^\s*[Ss]ignal\s*: [0-9]+(?:/[0-9]|%)| SIGNAL +BARS\b",
+            A_SHARE,
+        ),
+        form(r"^ ?BSSID +(?:STATION +)?PWR |^(?:BSSID|Station MAC), First time seen, ", NOT_FRESH),
+        form(
+            r"(?i:\brssi\"?\s*:\s*-?[0-9.]+(?: dB)?,?\s*\"?snr\"?\s*:.*\bnoise\b)",
+            "rssi of rtl_433 is relative to full scale: read it by `lines` as power_db",
+        ),
         form(r"RSSI return value: ", "hcitool rssi is relative to an unknown level: use btmon"),
         form(rf"^\s*RSSI: {_DBM} dBm \(0x"),
         form(r"\bRSSI: (?:invalid|n/?a)", "no power"),
@@ -77,18 +100,38 @@ class PowerScanDecoder(FormDecoder):
         form(r"dBm signal ", "frame without the sender's address: tcpdump -e prints it"),
         form(rf"\bAddress: {_EMITTER}{_TO}\b(?:rssi|RSSI): {_DBM}"),
         form(rf"^{_EMITTER}\t[0-9]{{4,5}}\t{_DBM}\t"),
+        form(
+            rf"^{_EMITTER}  {_DBM} dBm / \S+ dBm \(SNR -?[0-9]+\)  (?P<age_ms>[0-9]{{1,9}}) ms ago"
+        ),
+        form(
+            r"\bLora RX \(id=\w+ fr=(?P<emitter>0x[0-9a-f]{8}) [^()]*\bHopLim=(?P<hops>[0-7]) "
+            r"[^()]*\brxRSSI=(?P<power_dbm>-[0-9]{1,3}) [^()]*\bhopStart=(?P=hops)\b"
+        ),
+        form(r"\bLora RX \(id=", "a relay may have sent it: its power is of no known node"),
+        form(r"\(id=0x[0-9a-f]+ fr=0x[0-9a-f]+ .*\brxRSSI="),
+        form(
+            r"\+RCV=(?P<emitter>[0-9]{1,5}),[0-9]{1,3},(?:(?!\+RCV).)*,(?P<power_dbm>-[0-9]{1,3}),"
+            r"-?[0-9]{1,3}\s*$"
+        ),
+        form(r"^\+EVT:RXP2P:(?P<power_dbm>-[0-9]{1,3}):-?[0-9]{1,3}:"),
         form(rf"\bwith RSSI {_DBM}"),
         form(rf"^\[\w+\] RSSI:\s+{_DBM} dBm$"),
         form(rf"\bRSSI,{_DBM}dBm\b"),
     )
-    _LEVEL = re.compile(
-        r"\b(?<!tx[ _])(?<!noise )(?<!measured )(?:rssi|rss|signal|power|level)"
-        rf"(?:[_ ]?(?:dbm|strength|level))?\b[\"']?\s?[:=,]?\s?{_DBM}(?![%/])"
-        rf"|(?<![\w.,+-])(?P<dbm>{_NUMBER}) ?dBm\b(?! ?noise)",
-        re.IGNORECASE,
+    _LEVELS = tuple(
+        re.compile(pattern, re.IGNORECASE)
+        for pattern in (
+            r"\b(?:rx[ _]?)?(?:rssi|rss|signal|power|level)(?:[_ ]?(?:dbm|strength|level))?\b[\"']?"
+            rf"[ \t]{{0,12}}[:=,]?[ \t]{{0,12}}{_DBM}(?![%/])",
+            rf"(?<![\w.,+-]){_DBM} ?dBm\b(?! ?{_SETTING})",
+        )
     )
-    _ADDRESS = re.compile(rf"(?<![\w:-]){_MAC}(?![\w:-])")
-    _BEGINNING = re.compile(rf"(?:(?<=[A-Za-z_])|(?<=[^0-9A-Za-z]-)){_MAC}(?![\w:-])")
+    _LABEL = re.compile(rf"(?<![^\W_]){_SETTING}[^,;|)\]}}\t0-9]*$", re.IGNORECASE)
+    """Such a word between a level and what stands before it."""
+    _ADDRESS = re.compile(
+        rf"(?<![\w:-]){_MAC}{_ALONE}|(?i:(?<=mac\":\")|(?<=mac\": \"))[0-9A-Fa-f]{{12}}(?=\")"
+    )
+    _BEGINNING = re.compile(rf"(?:(?<=[A-Za-z_])|(?<=[^0-9A-Za-z]-)){_MAC}{_ALONE}")
     """Address that follows a letter or a minus at once, where a line was torn into the next."""
     _GATEWAY = re.compile(r'"(?:rxpk|rxInfo|rx_metadata)":')
     _AGE = re.compile(r"^\s*last seen: (?P<age_ms>[0-9]{1,9}) ms ago")
@@ -124,7 +167,7 @@ class PowerScanDecoder(FormDecoder):
             }
             return []
         else:
-            return self._of_device(fields.get("emitter"), fields.get("power_dbm"))
+            return self._of_device(fields)
         return self.no_reading()
 
     def passed_over(self, line: str) -> list[RadioReading]:
@@ -134,29 +177,39 @@ class PowerScanDecoder(FormDecoder):
         if self._GATEWAY.search(line):
             return self.refused("packets of a LoRa gateway: lora_gateway reads them")
         addresses = {*self._ADDRESS.findall(line), *self._BEGINNING.findall(line)}
-        levels = {found["power_dbm"] or found["dbm"] for found in self._LEVEL.finditer(line)}
+        found = [match for pattern in self._LEVELS for match in pattern.finditer(line)]
+        received = [
+            each for each in found if not self._LABEL.search(line[: each.start("power_dbm")])
+        ]
+        levels = {each["power_dbm"] for each in received}
         if len(addresses) > 1 or len(levels) > 1:
             what = "addresses" if len(addresses) > 1 else "powers"
             return self.refused(f"several {what} in a line: read it by `lines`")
         if not levels:
-            return self.refused("no power in dBm that can be read: try `lines`")
-        problem = next(filter(None, map(complain_of_spans, self._LEVEL.finditer(line))), None)
+            return self.refused(A_SETTING if found else NO_POWER)
+        problem = next(filter(None, map(complain_of_spans, received)), None)
         if problem is not None:
             return self.refused(problem)
-        return self._of_device(next(iter(addresses), None), levels.pop())
+        return self._of_device({"emitter": next(iter(addresses), None), "power_dbm": levels.pop()})
 
-    def _of_device(self, emitter: str | None, power_dbm: str | None) -> list[RadioReading]:
+    def _of_device(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
         """Return the reading of a device by its address, or by that of its block."""
-        emitter = emitter or self._device
+        emitter = fields.get("emitter") or self._device
         if emitter is None and not self.options.single_emitter:
             return self.refused(NO_ADDRESS)
-        return self._power({"emitter": emitter or "", "power_dbm": power_dbm or ""})
+        power_dbm = fields.get("power_dbm") or fields.get("signal") or ""
+        age_ms = fields.get("age_ms") or ""
+        return self._power({"emitter": emitter or "", "power_dbm": power_dbm, "age_ms": age_ms})
 
     def _power(self, texts: Mapping[str, str]) -> list[RadioReading]:
         power_dbm = number(texts["power_dbm"])
         if power_dbm is not None and power_dbm >= 0.0:
             return self.refused("power is not negative: no dBm")
-        if power_dbm is not None and power_dbm < MIN_DBM and texts["emitter"]:
+        if (
+            power_dbm is not None
+            and power_dbm < MIN_DBM
+            and len(texts["emitter"]) >= MIN_MAC_LENGTH
+        ):
             return self.refused("power is below the noise: nothing measured")
         emitter = texts["emitter"].lower().replace("-", ":")
         return self.read_fields({**texts, "emitter": emitter})

@@ -57,6 +57,20 @@ def scanned(text: str, *, single: bool = False) -> tuple[list[tuple[object, obje
         (f"RSSI: -61 Ch: 6 BSSID: {MAC} ESSID: Orange-Triangle-District\n", -61.0),
         (f'{{"mac":"{MAC.upper()}","rssi":-61,"ch":6}}\n', -61.0),
         (f"{MAC.replace(':', '-')} -61.5 dBm\n", -61.5),
+        (f"{MAC.upper()}: tag (-61 dBm)\n", -61.0),
+        (f"{MAC} RX RSSI     : -61\n", -61.0),
+        (f"{MAC} rxRssi=-61\n", -61.0),
+        (f"{MAC} rssi -61 dBm, threshold -90 dBm\n", -61.0),
+        (f"{MAC} tx power -12 dBm rssi -61\n", -61.0),
+        (f"{MAC.upper()}  -61 dBm / -95 dBm (SNR 34)  20 ms ago\n", -61.0),
+        (f"Access Point: {MAC}\n  Signal: -61 dBm  Noise: -95 dBm\n", -61.0),
+        (f"Access Point: {MAC}   \n  Link Quality=60/70  Signal level=-61 dBm\n", -61.0),
+        (f"      bdaddr {MAC.upper()} (Random)\n      RSSI: -61\n", -61.0),
+        (
+            f"Station {MAC} (on wlan0)\n\tsignal:  \t-61 dBm\n\tbeacon signal avg:\t-58 dBm\n"
+            "\tlast ack signal:-40 dBm\n\tavg ack signal:\t-41 dBm\n",
+            -61.0,
+        ),
     ],
 )
 def test_a_power_is_of_the_device_of_its_line_or_block(text: str, power_dbm: float) -> None:
@@ -121,7 +135,7 @@ def test_a_line_without_an_address_needs_a_single_emitter(line: str) -> None:
         (f"  Address: {MAC}\n  RSSI: invalid (0x99)\n", "no power"),
         (f"{MAC} RSSI: -6,1 dBm\n", "no power in dBm"),
         (f"{MAC} RSSI: -9999\n", "no power in dBm"),
-        (f"{MAC} rssi -61 dBm, threshold -90 dBm\n", "several powers"),
+        (f"{MAC} rssi -61 dBm, signal -90 dBm\n", "several powers"),
         (f"rssi=-61 from {MAC} to aa:bb:cc:dd:ee:ff\n", "several addresses"),
         ("11b -61dBm signal antenna 1 Acknowledgment RA:aa:bb:cc:dd:ee:ff\n", "sender's address"),
         ('{"rxpk":[{"rssi":-61}]}\n', "lora_gateway reads them"),
@@ -134,6 +148,95 @@ def test_what_is_no_power_of_one_device_is_refused_by_a_reason(text: str, reason
     assert reason in " ".join(reasons)
 
 
+@pytest.mark.parametrize(
+    "printed",
+    [
+        "RSSI threshold -80 dBm",
+        "RSSI limit: -85 dBm",
+        "RSSI cutoff (-80 dBm)",
+        "min rssi -90",
+        "max_rssi -40",
+        "minimum RSSI: -80",
+        "rssi >= -80 dBm",
+        "heard again if stronger than -80 dBm",
+        "devices below -80 dBm",
+        "-80 dBm threshold",
+        "noise floor: -95 dBm",
+        "noise=-95 dBm",
+        "-95 dBm noise floor",
+        "background -95 dBm",
+        "sensitivity -97 dBm",
+        "tx power -12 dBm",
+        "transmit power: -12 dBm",
+        "output power: -12 dBm",
+        "EIRP -10 dBm",
+        "expected RSSI -60 dBm",
+        "reference rssi -59",
+        "calibrated power -59 dBm",
+        "default signal: -63",
+        "remote rssi -70",
+        "min -80 avg -63 max -50 dBm",
+    ],
+)
+def test_a_setting_or_noise_beside_an_address_is_no_received_power(printed: str) -> None:
+    for line in (f"{MAC} {printed}", f"{printed} {MAC}", f"scan: {MAC}, {printed}"):
+        assert scanned(line + "\n")[0] == [], line
+    assert scanned(f"Station {MAC} (on wlan0)\n\t{printed}\n")[0] == []
+    assert scanned(f"{printed}\n", single=True)[0] == []
+
+
+@pytest.mark.parametrize(
+    ("printed", "reason"),
+    [
+        (" BSSID              PWR  Beacons    #Data, #/s  CH   MB   ENC CIPHER", "tcpdump -e"),
+        (" BSSID              STATION            PWR   Rate    Lost    Frames", "tcpdump -e"),
+        ("BSSID, First time seen, Last time seen, channel, Speed, Privacy", "tcpdump -e"),
+        ("Station MAC, First time seen, Last time seen, Power, # packets", "tcpdump -e"),
+        ("IN-USE  BSSID              SSID  MODE   CHAN  RATE  SIGNAL  BARS", "is a share"),
+        ("         Signal             : 72%", "is a share"),
+        ('{"mod":"ASK","freq":433.9,"rssi":-0.1,"snr":24.5,"noise":-24.6}', "full scale"),
+        ("RSSI      : -0.1 dB        SNR       : 24.5 dB     Noise   : -24.6 dB", "full scale"),
+    ],
+)
+def test_a_tool_whose_levels_are_no_use_is_named_or_replaced(printed: str, reason: str) -> None:
+    readings, reasons = scanned(printed + "\n", single=True)
+
+    assert readings == []
+    assert reason in " ".join(reasons)
+
+
+LORA_RX = "DEBUG | 12:00:00 18 [RadioIf] Lora RX (id=0x3d820dc9 fr=0xc0065b1b to=0xa6e7499a, "
+
+
+@pytest.mark.parametrize(
+    ("line", "emitter", "power_dbm"),
+    [
+        (
+            f"{LORA_RX}WantAck=0, HopLim=3 Ch=0x8 encrypted rxSNR=-9 rxRSSI=-121 hopStart=3)",
+            "0xc0065b1b",
+            -121.0,
+        ),
+        ("+RCV=50,5,HE,LO,-121,-9", 50, -121.0),
+        ("+RCV=51,5,HE+RCV=50,5,HELLO,-61,40", 50, -61.0),
+        ("+EVT:RXP2P:-121:-9:48656C6C6F", None, -121.0),
+        ('{"t":{"Mac":"C47C8D000001","RSSI":-61}}', "c47c8d000001", -61.0),
+    ],
+)
+def test_a_packet_names_its_device_by_other_than_a_mac_address(
+    line: str, emitter: object, power_dbm: float
+) -> None:
+    assert scanned(line + "\n", single=True) == ([(emitter, power_dbm)], [])
+
+
+def test_a_relayed_packet_has_the_power_of_the_relay() -> None:
+    line = f"{LORA_RX}WantAck=0, HopLim=2 Ch=0x8 encrypted rxSNR=5.5 rxRSSI=-71 hopStart=3)\n"
+    copies = "[Router] Add packet record (id=0x3d820dc9 fr=0xc0065b1b rxSNR=5.5 rxRSSI=-71)\n"
+
+    readings, reasons = scanned(line + copies, single=True)
+    assert readings == []
+    assert "relay" in " ".join(reasons)
+
+
 def test_a_block_ends_where_the_next_event_begins() -> None:
     text = f"> HCI Event: a\n  Address: {MAC} (Static)\n> HCI Event: b\n  RSSI: -61 dBm (0xc3)\n"
 
@@ -141,7 +244,14 @@ def test_a_block_ends_where_the_next_event_begins() -> None:
 
 
 def test_powers_beside_distances_are_of_a_format_that_is_not_known() -> None:
-    for quantity in ("dist 3.2", "distance_m=3", '"distanceMm":3200', "angle: 12", "Range=3"):
+    for quantity in (
+        "dist 3.2",
+        "d_cm=3",
+        "distance_m=3",
+        '"distanceMm":3200',
+        "angle: 12",
+        "Range=3",
+    ):
         decoder = PowerScanDecoder()
         assert decoder.feed(f"{MAC} rssi -61 {quantity}\n".encode(), 0.0) == []
         assert decoder.counts.unrecognised == 1
