@@ -167,15 +167,18 @@ class PositionAccuracy:
     vertical_m: float = GNSS_VERTICAL_RATIO * DEFAULT_GNSS_SIGMA_M
     is_reported: bool = False
     """True if the autopilot reported it; False: it is the assumed default."""
+    jumped_en_m: Point = (0.0, 0.0)
+    """Sum of the jumps of the vehicle's navigation in this flight; either position may be right."""
 
     def or_worse(self, other: PositionAccuracy | None) -> PositionAccuracy:
-        """Return the worse of both accuracies; None leaves this one."""
+        """Return the worse of both accuracies, with the jumps of this one, the newer."""
         if other is None:
             return self
         return PositionAccuracy(
             max(self.horizontal_m, other.horizontal_m),
             max(self.vertical_m, other.vertical_m),
             self.is_reported and other.is_reported,
+            self.jumped_en_m,
         )
 
     @property
@@ -269,10 +272,12 @@ class TargetEstimate:
 
     @property
     def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """`covariance_m2` with the vehicle position's error in it."""
+        """`covariance_m2` with the vehicle position's error in it; half of it is before jumps."""
         (a, b), (c, d) = self.covariance_m2
-        own_m2 = self.own.effective_m**2
-        return ((a + own_m2, b), (c, d + own_m2))
+        own_m2, (east_m, north_m) = self.own.effective_m**2, self.own.jumped_en_m
+        across_m2 = 0.5 * east_m * north_m
+        a, d = a + own_m2 + 0.5 * east_m * east_m, d + own_m2 + 0.5 * north_m * north_m
+        return ((a, b + across_m2), (c + across_m2, d))
 
     @property
     def absolute_height_sigma_m(self) -> float | None:

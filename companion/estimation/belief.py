@@ -66,6 +66,8 @@ class Belief:
         own = self.own
         if own is not None and not (0.0 < own.horizontal_m < math.inf > own.vertical_m >= 0.0):
             return "an impossible position accuracy"
+        if own is not None and not all(abs(m) <= MAX_COORDINATE_M for m in own.jumped_en_m):
+            return "an impossible jump of the position"
         if not abs(self.raised_m) <= MAX_COORDINATE_M:
             return "an impossible height"
         problems = (_problem(stored, size) for stored in self.places)

@@ -62,20 +62,24 @@ def estimate_of(
         )
         for h in hypotheses
     ]
-    settled_m = r95_m = _r95_m(hypotheses, weights, covariances)
+    places = [h.state.mean[:2] for h in hypotheses]
+    settled_m = r95_m = _r95_m(places, weights, covariances)
     if shared.wander.any():
         drift = shared.drift_m2(model.own_sigma_m)
         covariances = [
             shared.within_reach(covariance + drift, h.position_enu_m)
             for covariance, h in zip(covariances, hypotheses, strict=True)
         ]
-        r95_m = max(settled_m, _r95_m(hypotheses, weights, covariances))
+        r95_m = max(settled_m, _r95_m(places, weights, covariances))
     state = EstimateState.DIVERGED if is_diverged else _state(weights, settled_m, localised_r95_m)
     is_ambiguous = state is EstimateState.AMBIGUOUS
     mean, P = best.state.mean, best.state.covariance
     height, scale = model.height_index, model.scale_index
     (a, b), (_, c) = covariances[0].tolist()
     on_earth = [covariance + own.effective_m**2 * np.eye(2) for covariance in covariances]
+    if any(own.jumped_en_m):  # the position before may be the right one, just as the one after
+        places += [place - np.array(own.jumped_en_m) for place in places]
+        weights, on_earth = 0.5 * np.tile(weights, 2), 2 * on_earth
     return TargetEstimate(
         time_s=now_s,
         state=state,
@@ -91,7 +95,7 @@ def estimate_of(
         range_scale=float(mean[scale]) if scale >= 0 else 0.0,
         own=own,
         # a blurred rival may come nearer, which must not make the absolute radius the smaller one
-        absolute_r95_m=max(r95_m, _r95_m(hypotheses, weights, on_earth)),
+        absolute_r95_m=max(r95_m, _r95_m(places, weights, on_earth)),
         settled_r95_m=settled_m,
     )
 
@@ -164,16 +168,13 @@ def budget_of(
     }
 
 
-def _r95_m(
-    hypotheses: Sequence[Hypothesis], weights: Vector, covariances: Sequence[Matrix]
-) -> float:
-    if len(hypotheses) == 1:
+def _r95_m(places: Sequence[Vector], weights: Vector, covariances: Sequence[Matrix]) -> float:
+    """Return R95 about the first place, of places (2,) with covariances (2, 2), metres."""
+    if len(places) == 1:
         return r95_of_covariance_m(covariances[0])
-    components = [
-        (float(weight), h.state.mean[:2], covariance)
-        for weight, h, covariance in zip(weights, hypotheses, covariances, strict=True)
-    ]
-    return r95_of_mixture_m(hypotheses[0].state.mean[:2], components)
+    return r95_of_mixture_m(
+        places[0], list(zip(weights.tolist(), places, covariances, strict=True))
+    )
 
 
 def _state(weights: Vector, r95_m: float, localised_r95_m: float) -> EstimateState:

@@ -310,8 +310,10 @@ class Recollection:
             problem = context.emitters.resume(belief, now_s - self._kept_at_s, now_s)
             if problem is not None:
                 context.warn(f"estimate reset: checkpoint has {problem}")
-            else:
-                self._announce_resumed(belief, now_s)
+                continue
+            if belief.own is not None:
+                context.vehicle.position_accuracy.jumped_en_m = belief.own.jumped_en_m
+            self._announce_resumed(belief, now_s)
 
     def _announce_resumed(self, belief: Belief, now_s: float) -> None:
         context, estimate = self._context, self._context.tracker.estimate(now_s)

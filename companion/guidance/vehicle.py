@@ -169,6 +169,7 @@ class VehicleView:
         """Apply an event about the vehicle; ignore others."""
         match event:
             case events.HeartbeatReceived():
+                self.position_accuracy.handle(event)
                 self.heartbeat, self.heard_s = event, event.time_s
                 self.mode_watch.note_heartbeat(event)
             case events.PositionAccuracyReported():

@@ -27,6 +27,7 @@ from companion.domain import (
     VehicleState,
 )
 from companion.geometry.coordinates import wrap_pi
+from companion.geometry.polygons import Point
 from companion.guidance import events
 from companion.guidance.events import AccuracySource, PositionAccuracyReported
 
@@ -173,7 +174,7 @@ MAX_AGE_S = 5.0
 
 
 class PositionAccuracyWatch:
-    """Keeps the latest reported accuracy of each source."""
+    """Keeps the latest reported accuracy of each source, and the jumps that none explains."""
 
     def __init__(self) -> None:
         self._receiver: PositionAccuracyReported | None = None
@@ -183,6 +184,9 @@ class PositionAccuracyWatch:
         self._vertical_m: dict[AccuracySource, float] = {}
         self._begun_s: float | None = None
         """Time of the first vehicle position."""
+        self._is_armed = False
+        self.jumped_en_m: Point = (0.0, 0.0)
+        """Sum of the horizontal jumps of the reported position since the vehicle was armed."""
 
     def handle(self, event: events.Event) -> None:
         """Apply an event about position accuracy; ignore others."""
@@ -196,6 +200,10 @@ class PositionAccuracyWatch:
                     self._vertical_m[event.source] = event.vertical_m
             case events.VehicleMoved() if self._begun_s is None:
                 self._begun_s = event.time_s
+            case events.HeartbeatReceived():
+                if event.is_armed and not self._is_armed:
+                    self.jumped_en_m = (0.0, 0.0)  # on the ground the position converges
+                self._is_armed = event.is_armed
 
     def accuracy(self, now_s: float) -> PositionAccuracy | None:
         """Return the accuracy in use; None if the first report of the receiver may still arrive."""
@@ -208,6 +216,5 @@ class PositionAccuracyWatch:
         horizontal_m = max(least_m, *self._horizontal_m.values(), 0.0)
         has_height = is_reported and receiver is not None and receiver.vertical_m is not None
         least_m = 0.0 if has_height else GNSS_VERTICAL_RATIO * horizontal_m
-        return PositionAccuracy(
-            horizontal_m, max(least_m, *self._vertical_m.values(), 0.0), is_reported
-        )
+        vertical_m = max(least_m, *self._vertical_m.values(), 0.0)
+        return PositionAccuracy(horizontal_m, vertical_m, is_reported, self.jumped_en_m)

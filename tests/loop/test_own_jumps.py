@@ -11,7 +11,9 @@ from companion.domain import FlightMode, PositionEnu
 from companion.estimation.screen import RejectReason
 from companion.guidance.commands import SessionParams
 from companion.guidance.phases import FLYING, Phase
+from sim_link.autopilot.incidents import OriginShift
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, Scenario
+from sim_link.lab.faults.faulty_link import Injector
 from tests.loop.loop_helpers import AUTO, Loop, flown_once, outside
 from tools.campaign.flights import monitored_flight
 
@@ -168,3 +170,37 @@ def test_a_flight_without_jumps_sees_none() -> None:
     around = monitored_flight(AUTO, Loop().flight.scenario, 3)
     around.flight.run(60.0)
     assert around.flight.companion.session.tracker.rejected[RejectReason.OWN_JUMP] == 0
+
+
+def test_a_jump_that_stays_is_in_the_absolute_radius_until_the_position_is_back() -> None:
+    loop = flying()
+
+    def radii_m() -> tuple[float, float]:
+        estimate = loop.companion.session.estimate
+        assert estimate is not None
+        return estimate.r95_m, estimate.absolute_r95_m
+
+    relative_m, absolute_m = radii_m()
+    for shift_enu_m in ((15.0, -20.0, 0.0), (-15.0, 20.0, 0.0)):
+        loop.sim.vehicle.estimator.jump(shift_enu_m, 0.0)
+        loop.run(0.5)
+        jumped_m = radii_m()
+        loop.run(6.0)
+        if shift_enu_m[0] > 0.0:
+            assert 25.0 < jumped_m[1] < 25.0 + 2.0 * absolute_m
+            assert 25.0 < radii_m()[1] < 25.0 + 2.0 * absolute_m
+            assert radii_m()[0] < 1.5 * relative_m
+    assert radii_m()[1] < 1.5 * absolute_m
+    assert loop.phase in FLYING
+
+
+def test_an_origin_that_moves_leaves_no_doubt_about_the_position() -> None:
+    loop = flying()
+    before = loop.companion.session.estimate
+    Injector(loop.flight, loop.wire, loop.operator).add(OriginShift(east_m=10.0))
+    loop.run_until(lambda: loop.said("local origin moved 10 m"), 20.0)
+    after = loop.companion.session.estimate
+    assert before is not None
+    assert after is not None
+    assert after.own.jumped_en_m == pytest.approx((0.0, 0.0), abs=0.5)
+    assert after.absolute_r95_m < 1.5 * before.absolute_r95_m

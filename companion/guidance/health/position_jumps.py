@@ -4,9 +4,10 @@ Theory of operation. An estimator that resets moves the reported position, or th
 while the vehicle stays where it is. MAVLink's local position has no counter for that, so each
 report is compared with the one before and the velocities of both. Measurements of the target are
 relative to the vehicle, so a jump shifts the target, and every position that it was measured from,
-by as much: then the old measurements agree with the new ones, and it does not matter which of the
-two positions was the right one. The vehicle holds until its navigation was steady for a while, and
-measurements until then are not fused. Navigation that keeps jumping leads to a hand-back.
+by as much: then the old measurements agree with the new ones. Either position may be the right one:
+the relative radius does not depend on it, the absolute one contains both. The vehicle holds until
+its navigation was steady for a while, and measurements until then are not fused. Navigation that
+keeps jumping leads to a hand-back.
 
 A local frame that gets another origin is such a step of known size: the origin gives it, so there
 is no doubt, and the setpoint moves along as well. Its first positions may arrive before it; the
@@ -24,6 +25,7 @@ Source: PX4 user guide, "ECL/EKF", resets; `ardupilot/libraries/AP_NavEKF3`, res
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from companion.domain import PositionEnu, VehicleState
 from companion.geometry.coordinates import wrap_pi
@@ -210,7 +212,7 @@ class JumpWatch(Watch):
             return  # moved while the frames were in transit, stamped by a clock that slipped
         before_s = track.latest.time_s
         self._context.vehicle.shift(jump_m)
-        self._move_targets(jump_m, 0.0, noise_m)
+        self._move_targets(jump_m, 0.0, noise_m, jump_m)
         self._newest = (event.time_s, jump_m)
         self._context.steering.forget_setpoint()
         (e, n, u), (de, dn, du) = self._jumped_m or (0.0, 0.0, 0.0), jump_m
@@ -259,7 +261,7 @@ class JumpWatch(Watch):
         rest_m = _minus(shift_enu_m, moved_m)
         is_moved = moved_m != NO_STEP
         context.vehicle.move_frame(event.origin, NO_STEP if is_moved else rest_m)
-        self._move_targets(rest_m, 0.0, 0.0)
+        self._move_targets(rest_m, 0.0, 0.0, _minus(NO_STEP, moved_m))
         if is_moved and self._jumped_m is not None:
             left_m = _minus(self._jumped_m, moved_m)
             self.is_idle = math.hypot(*left_m) <= MIN_STEP_M
@@ -277,9 +279,28 @@ class JumpWatch(Watch):
         newest_m, self._newest = self._newest[1], None
         return newest_m if math.dist(newest_m, shift_enu_m) <= least_m else NO_STEP
 
-    def _move_targets(self, shift_enu_m: PositionEnu, turn_rad: float, sigma_m: float) -> None:
-        for tracker in self._context.emitters.trackers:
+    def _move_targets(
+        self,
+        shift_enu_m: PositionEnu,
+        turn_rad: float,
+        sigma_m: float,
+        jump_enu_m: PositionEnu = NO_STEP,
+    ) -> None:
+        """Shift the estimates, and add a jump in flight to those that leave the position in doubt.
+
+        On the ground the navigation converges. In flight either position may be the right one.
+        """
+        accuracy, trackers = (
+            self._context.vehicle.position_accuracy,
+            self._context.emitters.trackers,
+        )
+        if self._context.vehicle.is_armed:
+            east_m, north_m = accuracy.jumped_en_m
+            accuracy.jumped_en_m = (east_m + jump_enu_m[0], north_m + jump_enu_m[1])
+        for tracker in trackers:
             tracker.move(shift_enu_m, turn_rad, sigma_m)
+            if tracker.own is not None:
+                tracker.own = replace(tracker.own, jumped_en_m=accuracy.jumped_en_m)
 
     def _hold(self, text: str, before_s: float, now_s: float) -> None:
         context = self._context
@@ -301,4 +322,6 @@ class JumpWatch(Watch):
         context.enter(Trigger.INPUT_LOST, now_s)
         context.record("own_jump", text=text)
         if is_first:
-            context.warn(f"{text}: estimate shifted with it")
+            doubt_m = math.hypot(*context.vehicle.position_accuracy.jumped_en_m)
+            wider = f", absolute R95 {doubt_m:.0f} m wider" if doubt_m > MIN_STEP_M else ""
+            context.warn(f"{text}: estimate shifted with it{wider}")

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from companion.domain import PositionAccuracy, VehicleState
-from companion.guidance.events import AccuracySource, PositionAccuracyReported, VehicleMoved
+from companion.domain import Autopilot, FlightMode, PositionAccuracy, VehicleState
+from companion.guidance.events import (
+    AccuracySource,
+    HeartbeatReceived,
+    PositionAccuracyReported,
+    VehicleMoved,
+)
 from companion.guidance.vehicle_track import MAX_AGE_S, PositionAccuracyWatch
 
 RECEIVER, ESTIMATOR = AccuracySource.RECEIVER, AccuracySource.ESTIMATOR
@@ -78,3 +83,13 @@ def test_a_receiver_may_be_late_by_seconds_and_not_for_ever() -> None:
         assert accuracies.accuracy(MAX_AGE_S) is None
         assert accuracies.accuracy(0.1 + MAX_AGE_S) == PositionAccuracy(3.0, 6.0, is_reported=False)
     assert PositionAccuracyWatch().accuracy(100.0) is None
+
+
+def test_jumps_before_arming_are_convergence() -> None:
+    accuracies = watch((1.0, RECEIVER, 0.8, 1.4))
+    for is_armed, kept_m in ((False, 5.0), (True, 0.0), (True, 5.0), (False, 5.0)):
+        accuracies.jumped_en_m = (5.0, 0.0)
+        accuracies.handle(
+            HeartbeatReceived(2.0, Autopilot.PX4, FlightMode.HOLD, is_armed, True, False)
+        )
+        assert accuracies.jumped_en_m == (kept_m, 0.0)
