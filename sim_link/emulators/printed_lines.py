@@ -3,7 +3,7 @@
 A direction finder gives degrees clockwise from the array's zero, whatever is on the air; of noise
 the bearings are random and their quality low.
 
-Sources: RADIO_RANGING as JSON (docs/messages.md has the fields); RadioLib and SX12XX-LoRa examples
+Sources: RADIO_RANGING as JSON (docs/wire.md names the fields); RadioLib and SX12XX-LoRa examples
 (lines), Semtech's SX1280 data sheet (what a raw step is); Decawave, TREK1000 user manual; Nordic,
 sample `channel_sounding_ras_initiator`; Silicon Labs, JSON of `bt_aoa_host_locator` as a subscriber
 prints it with its topic; M5Stack, Unit UWB; pozyxLabs, Pozyx-Arduino-library `ready_to_range`;

@@ -1,4 +1,4 @@
-"""Errors, convergence and honesty of many runs, and the Cramer-Rao bound next to them.
+"""Errors, convergence and consistency of many runs, and the Cramer-Rao bound next to them.
 
 A measurement is y = (h_r(x) + delta_r, h_b(x) + delta_b) + e. One draw decides for range and
 bearing together whether the path is obstructed, so the joint density of the errors is the mixture
@@ -35,7 +35,7 @@ from sim_link.world.environment import ChannelParams
 SETTLED_STEP = 20
 """Honesty counts after this step."""
 COVERAGE_BAND = (0.93, 0.97)
-"""Coverage of an honest R95 circle."""
+"""Coverage of a consistent R95 circle."""
 SETTLED_M = 2.5
 """Error below which a run has settled. Paper: Time-to-Threshold."""
 DIVERGED_M = SETTLED_M

@@ -114,7 +114,7 @@ class Expectation(Params, frozen=True, kw_only=True):
     final_error_m: EmitterBound | UnsetType = UNSET
     """Distance of the last estimate from the true emitter."""
     error_over_r95: EmitterBound | UnsetType = UNSET
-    """Error in units of R95: at most 1 in 95 of 100 flights if R95 is honest and the vehicle
+    """Error in units of R95: at most 1 in 95 of 100 flights if R95 is consistent and the vehicle
     position is exact."""
     error_over_absolute_r95: EmitterBound | UnsetType = UNSET
     """Error in units of the absolute R95, which includes the error of the vehicle position."""

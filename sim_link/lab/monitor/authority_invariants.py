@@ -311,13 +311,13 @@ BY_A_PERSON = frozenset({"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET"}
 
 
 class FewTexts(Invariant):
-    """A text with the same words and other figures does not come twice within 30 s.
+    """A text is not sent twice within 30 s, figures apart.
 
     What a person did since allows it once more: a changed mode, arming, or an order that was heard.
     """
 
     name = "I13"
-    title = "a text of one cause comes once in 30 s, or in answer to a person"
+    title = "texts with the same cause are sent once in 30 s, or in answer to a person"
 
     def __init__(self, scene: ObservedScene) -> None:
         super().__init__(scene)

@@ -1,4 +1,4 @@
-"""I2, I5, I6 and I9 to I12: motion of setpoints, frames on the wire, honest estimates."""
+"""I2, I5, I6 and I9 to I12: motion of setpoints, frames on the wire, consistent estimates."""
 
 from __future__ import annotations
 

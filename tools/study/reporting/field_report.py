@@ -4,7 +4,7 @@ A cell is a radio with a configuration and a planner. Definitions:
 
     reported              share of flights with a report before the cut
     coverage, absolute_coverage
-                          of those that reported: share with the truth inside of R95; 0.95 is honest
+                          of those that reported: share with the truth inside R95; consistent: 0.95
     beyond_3_r95          of those: share whose error is more than three times R95, both relative
     error_m ... absolute_r95_m
                           medians over those

@@ -12,11 +12,11 @@ Definitions of the metrics, and numbers as they are written:
     range_offset_m       mean of the estimates after the last step
     bound_ratio          final RMSE by its bound
     rmse_ratio           final RMSE by that of Proposed with the same planner and the same draws
-    nees_final           mean NEES of the position after the last step; bound: the band of an honest
-                         filter; nees_mean: over all steps after the 20th
+    nees_final           mean NEES of the position after the last step; bound: the consistent band;
+                         nees_mean: over all steps after the 20th
     coverage_min, _mean, _max
                          share of runs whose R95 circle contains the target, over steps after the
-                         20th; bound: what is asked for
+                         20th; bound: the required share
 
 Intervals are 95 % bootstrap percentiles; resamples are the same for all systems, so that those of
 a ratio are paired.

@@ -96,7 +96,7 @@ Verdict = Literal["ahead", "level", "behind", "diverged", "inside", "outside", "
 
 SMALLER_IS_BETTER = frozenset({"final_rmse_m", "steps_to_2.5m", "cost_ms_per_step"})
 WITHIN = frozenset({"nees_final", "coverage_min", "coverage_mean", "coverage_max"})
-"""Metrics whose bound is a band that an honest estimator stays within."""
+"""Metrics whose bound is a band that a consistent estimator stays within."""
 BY_RMSE = frozenset({"final_rmse_m", "steps_to_2.5m"})
 """Metrics that one diverged run decides."""
 FOLDED = frozenset({"worst_final_m", "median_final_m", "diverged_runs"})

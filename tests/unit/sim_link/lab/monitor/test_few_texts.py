@@ -1,4 +1,4 @@
-"""A text of one cause comes once in 30 s, unless a person did something in between."""
+"""Texts with the same cause are sent once in 30 s, unless a person did something in between."""
 
 from __future__ import annotations
 
