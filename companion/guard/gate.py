@@ -46,15 +46,15 @@ class GuardReason(Enum):
     NOT_FINITE = "invalid (NaN) input: goal, vehicle, home or time"
     FENCE = "goal is outside the fence or in a keep-out"
     OUTSIDE = "vehicle is outside the fence or in a keep-out: returning inside"
-    MARGIN = "nearer to the fence or a keep-out than the margin: returning inside"
+    MARGIN = "within the margin of the fence or a keep-out: moving away"
     ALTITUDE = "goal is outside the altitude band"
     LEASH = "goal is too far from home"
     BATTERY = "battery is too low to go farther from home"
     BATTERY_UNKNOWN = "battery charge is unknown: no farther from home"
     LAGGING = "vehicle lags behind its setpoint"
-    JUMPED = "vehicle is far from its setpoint: staying where it is"
+    JUMPED = "vehicle is far from its setpoint: holding position"
     TOO_FAST = "vehicle is too fast to stop before the fence or a keep-out"
-    CUT_OFF = "no straight way to the setpoint: waiting for the vehicle"
+    CUT_OFF = "no straight path to the setpoint: waiting for the vehicle"
 
 
 @dataclass(frozen=True, slots=True)

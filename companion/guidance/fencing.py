@@ -424,7 +424,7 @@ class Fencing:
                 raise ValueError(
                     "the autopilot has no fence, and limits.autopilot_fence requires one"
                 )
-            self.note = "autopilot has no fence: only the guard keeps ours"
+            self.note = "autopilot has no fence: only the companion has one"
             return
         differs = self._difference(theirs)
         if differs is not None and not self.is_in_control:

@@ -201,7 +201,7 @@ def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
         text = f"lower pass: {descent_m:.0f} m below the search altitude, for more information"
         return [Announce(Severity.INFO, text)]
     if before_m > 0.0 and descent_m == 0.0:
-        return [Announce(Severity.INFO, "lower pass over: back to the search altitude")]
+        return [Announce(Severity.INFO, "lower pass done: back to the search altitude")]
     return []
 
 

@@ -195,7 +195,7 @@ class LaunchPermit:
             return
         if vehicle.vehicle_class is VehicleClass.HELICOPTER:
             context.forbid_launch()
-            text = "no automatic takeoff: a helicopter's rotor is spun up by its pilot"
+            text = "no automatic takeoff: the pilot must spin up a helicopter's rotor"
             context.warn(f"{text}; switch to {vehicle.guided_name}")
         elif vehicle.is_armed or vehicle.landed in AIRBORNE:
             context.forbid_launch()

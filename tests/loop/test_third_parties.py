@@ -215,7 +215,7 @@ def test_a_change_that_cannot_be_read_is_held_on_and_handed_back(flavour: Flavou
     loop.run(2.0)
     assert loop.phase is Phase.HOLD
     loop.run_until(lambda: loop.phase not in IN_CONTROL, 30.0)
-    assert loop.said("the autopilot's fence is not read yet")
+    assert loop.said("the autopilot's fence has not been read yet")
 
 
 @pytest.mark.parametrize("flavour", OFTEN_PX4)

@@ -283,7 +283,7 @@ class FenceWatch(Watch):
         if self._wrong_since_s is None:
             self._wrong_since_s = now_s
         refusal = fencing.refusal
-        text = "the autopilot's fence is not read yet" if refusal is None else refusal
+        text = "the autopilot's fence has not been read yet" if refusal is None else refusal
         has_lasted = now_s - self._wrong_since_s > UNREAD_TIMEOUT_S
         return Finding(Verdict.HAND_BACK if has_lasted else Verdict.HOLD, Reason.FENCE, text)
 
@@ -385,4 +385,4 @@ class Watches:
             watch.begin(now_s)
         if self.battery.level is BatteryLevel.UNKNOWN and not self._is_battery_announced:
             self._is_battery_announced = True
-            self._context.warn("battery charge unknown: watch it yourself")
+            self._context.warn("battery charge unknown: monitor it yourself")

@@ -198,5 +198,5 @@ def test_a_lower_pass_is_reported_when_it_begins_and_when_it_is_over() -> None:
         flight.fly(1.0)
     assert [text for text in flight.texts if "lower pass" in text] == [
         "lower pass: 14 m below the search altitude, for more information",
-        "lower pass over: back to the search altitude",
+        "lower pass done: back to the search altitude",
     ]
