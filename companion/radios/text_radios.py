@@ -327,28 +327,39 @@ def _compiled(pattern: str) -> re.Pattern[str]:
 class SilabsAoaDecoder(FieldDecoder):
     """Decoder of angles as Silicon Labs' locators publish them: degrees, JSON over several lines.
 
-    The tag is named by the topic before the object, as `mosquitto_sub -v` prints it. The distance
-    is an estimate by power, and is not read.
+    The tag is named by the topic before the object, as `mosquitto_sub -v` prints it, or on the line
+    before. The distance is an estimate by power, and is not read.
     """
 
     _TAG = re.compile(r"/ble-[a-z]{1,4}-([0-9A-Fa-f]{12})")
+    _TOPIC = re.compile(rf"{_TAG.pattern}\s*$")
+    """Topic at the end of a line, without its object."""
     longest_object = 2048
 
     def begin(self) -> None:
         """Begin without a partial object."""
         super().begin()
+        self._topic: str | None = None
         self._tag: str | None = None
+        """Tag of the next object, and of the one that has begun."""
+        self._has_topics = False
         self._object = ""
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the reading that a line completes; it begins, continues or ends an object."""
-        before, brace, rest = line.partition("{")
+        if topic := self._TOPIC.search(line):
+            self._topic, self._has_topics, self._object = topic[1].upper(), True, ""
+            return self.no_reading()
+        before, brace, rest = line.rpartition("{")
         if brace:
-            named = self._TAG.findall(before)  # the locator, and then the tag
-            self._tag, self._object = named[-1].upper() if named else None, "{" + rest
+            named = self._TAG.findall(line)  # the locator, and then the tag
+            self._tag = named[-1].upper() if named else None if before.strip() else self._topic
+            self._has_topics = self._has_topics or bool(named)
+            self._topic, self._object = None, "{" + rest
         elif self._object:
             self._object += line
         else:
+            self._topic = None
             return self.passed_over(line)
         text, end, _ = self._object.partition("}")
         if not end:
@@ -367,6 +378,10 @@ class SilabsAoaDecoder(FieldDecoder):
         azimuth, elevation = _degrees(value, "azimuth"), _degrees(value, "elevation")
         if azimuth is None or elevation is None:
             return self.refused("no azimuth and elevation")
+        if "sequence" not in value:
+            return self.refused("no sequence number: not a locator's degrees")
+        if self._tag is None and self._has_topics:
+            return self.refused("object without its topic")
         if abs(azimuth) > 180.0 or abs(elevation) > 90.0:
             return self.refused("angle is out of bounds")
         sigmas = [_degrees(value, f"{name}_stdev") for name in ("azimuth", "elevation")]

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.errors import ConfigError
-from companion.radios.decoder import AngleFrame, RadioReading
+from companion.radios.decoder import AngleFrame, RadioReading, radio_kind
 from companion.radios.text_radios import (
     LinesDecoder,
     LinesOptions,
@@ -309,3 +309,41 @@ NONE = "ffffffff"
 def test_a_trek_report_has_four_to_eight_slots(line: str, ranges_m: dict[int, float]) -> None:
     readings = TrekDecoder().feed(f"{line}\r\n".encode(), 0.0)
     assert {each.emitter: each.range_m for each in readings} == ranges_m
+
+
+LOCATOR, TAG_A, TAG_B = "silabs/aoa/angle/ble-pd-0C4314F46B2D", "0C4314F46CEB", "84FD27EEE588"
+
+
+def silabs(printed: str) -> tuple[list[object], list[str]]:
+    decoder = radio_kind("silabs_aoa").decoder()
+    readings = decoder.feed(printed.encode(), 0.0)
+    return [reading.emitter for reading in readings], [*decoder.counts.refused]
+
+
+def angle(number: int = 1) -> str:
+    return f'{{\n\t"azimuth":\t-10.2,\n\t"elevation":\t1.2,\n\t"sequence":\t{number}\n}}\n'
+
+
+def test_a_topic_names_the_tag_of_the_object_behind_it_or_on_the_next_line() -> None:
+    for end in (" ", "\n", " \n", "\r\n"):
+        named = [f"{LOCATOR}/ble-pd-{tag}{end}{angle()}" for tag in (TAG_A, TAG_B)]
+        assert silabs("".join(named)) == ([TAG_A, TAG_B], [])
+    subscriber = f"Received {angle()!r} on topic '{LOCATOR}/ble-pd-{TAG_A}'\n".replace("\\n", "")
+    assert silabs(subscriber.replace("\\t", "")) == ([TAG_A], [])
+    assert silabs(angle()) == ([None], [])
+
+
+def test_an_object_whose_topic_was_lost_is_of_no_tag() -> None:
+    topic = f"{LOCATOR}/ble-pd-{TAG_A}\n"
+
+    assert silabs(topic + angle() + angle(2)) == ([TAG_A], ["object without its topic"])
+    torn = f"{LOCATOR}/ble-pd-{TAG_B}\n" + angle()[:15] + topic + angle()
+    assert silabs(torn) == ([TAG_A], [])
+    assert silabs(topic + f"{LOCATOR}/ble-pd-84FD\n" + angle())[0] == []
+
+
+def test_angles_of_another_program_are_not_taken_for_degrees() -> None:
+    emitters, reasons = silabs('{"distance":1.23,"azimuth":0.1,"elevation":0.2}\n')
+
+    assert emitters == []
+    assert "sequence" in " ".join(reasons)
