@@ -7,7 +7,8 @@ a class of such rows and a record in `kinds.yaml`.
 Sources: nrfconnect/sdk-nrf and zephyr, samples of Bluetooth channel sounding; REYAX, AT command
 guide of the RYUW122; Ai-Thinker BU01 (M5Stack Unit UWB documentation) and BU03 (AT+DISTANCE);
 pozyxLabs/Pozyx-Arduino-library `ready_to_range`, pozyxLabs/Pozyx-Python-library `pozyx_serial.py`;
-Lora-net/SWSD003 `lr11xx/apps/rttof`; charlieh0tel/rotaryclub `kn5r-format.md` and `src/output`.
+Lora-net/SWSD003 `lr11xx/apps/rttof`; charlieh0tel/rotaryclub `kn5r-format.md` and `src/output`;
+SiliconLabs `bt_cs_soc_initiator` and `bt_cs_host_initiator`; APRS 1.2c, appendix 1 (Agrelo).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from companion.domain import Params
 from companion.errors import ConfigError
 from companion.radios.decoder import RadioReading
 from companion.radios.fields import FieldDecoder, complain_of_spans
+from companion.radios.wifi_ftm import MAC
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +77,40 @@ _AT_STATUS = form(r"^(?:AT\+.*|\+?(?:OK|READY)|\+[A-Za-z_]{2,16}=[^,]*)\s*$")
 
 
 class ChannelSoundingDecoder(FormDecoder):
-    """Distances of Nordic's and Zephyr's samples by phases; those by round trips are metres off."""
+    """Distances of Nordic's and Zephyr's samples by phases; those by round trips are metres off.
+
+    Silicon Labs' initiators filter both, and print the address of the connection's reflector.
+    """
 
     forms = (
+        form(rf"\[(?P<handle>[0-9]{{1,3}})\] BT Address: (?P<peer>{MAC.pattern})\b"),
+        form(
+            r"(?:\[(?P<handle>[0-9]{1,3})\] |\b)Measurement (?:main mode )?result: "
+            r"(?P<range_mm>[0-9]{1,10}) mm\b"
+        ),
+        form(
+            r"\bMeasurement (?:(?:main|sub) mode )?(?:result|likeliness): |\bRSSI distance: "
+            r"|\bRaw (?:main|sub) mode distance: |Ranging Counter = |Estimation in progress: "
+        ),
         form(r"istance estimates on antenna path [1-9]: ifft: "),
         form(r"istance estimates on antenna path 0: ifft: (?P<range_m>-?[0-9.]{1,12}), phase_"),
         form(r"Phase-Based Ranging method: (?P<range_m>-?[0-9.]{1,12}) meters"),
         form(r"(?:path 0: ifft:|Phase-Based Ranging method:) -?nan", "no distance by phases"),
         form(r"Round-Trip Timing method: "),
     )
+
+    def begin(self) -> None:
+        """Begin without connections."""
+        super().begin()
+        self._peers: dict[str, str] = {}
+
+    def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
+        """Return the reading of a match, named by its connection's address or number if it has."""
+        handle, peer = fields.get("handle"), fields.get("peer")
+        if handle is not None and peer is not None:
+            self._peers[handle] = peer
+            return self.no_reading()
+        return self.read_fields({**fields, "emitter": self._peers.get(handle or "", handle)})
 
 
 class TagOptions(Params, frozen=True):
@@ -222,7 +249,8 @@ class DopplerDecoder(FormDecoder):
     """Decoder of Doppler direction finders: KN5R-RDF sentences, and other formats of rotaryclub.
 
     Degrees clockwise from the array's own zero. KN5R-RDF has no sentence for silence: its quality,
-    the mean length of the phase vectors, drops to that of noise.
+    the mean length of the phase vectors, drops to that of noise. Agrelo's `%BBB/Q`, which PicoDopp
+    and others print, has whole degrees and a quality from 0 to 9.
     """
 
     forms = (
@@ -242,13 +270,17 @@ class DopplerDecoder(FormDecoder):
             r"[^,]*,(?P<azimuth_sigma_deg>[0-9.]*),[^,]*,true,"
         ),
         form(r"^C(?P<azimuth>[0-9]{4})(?P<magnitude>[0-9]{3})[0-9]{3}(?P<epoch>[0-9]{15})\s*$"),
+        form(r"^%(?P<azimuth>[0-9]{3})/(?P<grade>[0-9])\s*$"),
         form(r"^[SBT][0-9]{10,}"),
     )
-    MAX_MAGNITUDE = 999.0
+    MAX_MAGNITUDE, MAX_GRADE = 999.0, 9.0
     TENTHS = 10.0
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:
         """Return the reading of a match; a sentence's digits are tenths and thousandths."""
+        if grade := fields.get("grade"):
+            quality = f"{float(grade) / self.MAX_GRADE:.4f}"
+            return self.read_fields({"azimuth_deg": f"{fields['azimuth']}.0", "quality": quality})
         if fields.get("epoch") is None:
             return self.read_fields(fields)
         azimuth, magnitude, epoch = (

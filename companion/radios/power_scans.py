@@ -39,9 +39,10 @@ MIN_DBM = -114.0
 """Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have a MAC address;
 lower ones, -127 or -128, stand for no value."""
 _SETTING = (
-    r"(?:noise|background|interference|floor|thresh(?:old)?|limit|cut-?off|filter|sensitivity|cca|min(?:imum)?"
-    r"|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target|wanted|expected|ref(?:erence)?"
-    r"|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp|rem(?:ote)?)(?![^\W_])"
+    r"(?:noise|background|interference|floor|thresh(?:old)?|limit|cut-?off|filter|sensitivity|cca"
+    r"|min(?:imum)?|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target"
+    r"|wanted|expected|ref(?:erence)?|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp"
+    r"|rem(?:ote)?)(?![^\W_])"
 )
 """Words that make the level after them one that was not received here: a setting, noise, or what a
 device transmits, or receives itself."""

@@ -46,6 +46,8 @@ def read(decoder: RadioDecoder, *printed: str) -> list[RadioReading]:
             1.039173,
         ),
         ("channel_sounding", "Phase-Based Ranging method: 2.300000 meters", None, 2.3),
+        ("channel_sounding", "Measurement result: 1234 mm | RSSI distance: 5123 mm", None, 1.234),
+        ("channel_sounding", "[APP] [2] Measurement main mode result: 1234 mm", 2, 1.234),
     ],
 )
 def test_a_line_is_a_range(name: str, line: str, emitter: object, range_m: float) -> None:
@@ -53,6 +55,31 @@ def test_a_line_is_a_range(name: str, line: str, emitter: object, range_m: float
 
     assert reading.emitter == emitter
     assert reading.range_m == pytest.approx(range_m)
+
+
+def test_a_silabs_initiator_names_the_reflector_of_each_connection() -> None:
+    decoder = decoder_of("channel_sounding")
+    found = read(
+        decoder,
+        "[APP] [1] # 0001 --- Ranging Counter = 0012",
+        "[APP] [1] BT Address: C4:7C:8D:00:00:01",
+        "[APP] [1] Measurement main mode result: 1234 mm",
+        "[APP] [1] Raw main mode distance: 1300 mm",
+        "[APP] [1] Measurement main mode likeliness: 0.97",
+        "[APP] [1] RSSI distance: 5123 mm",
+        "[APP] [2] BT Address: C4:7C:8D:00:00:02",
+        "[APP] [1] Measurement sub mode result: 1900 mm",
+        "[APP] [2] Measurement main mode result: 2345 mm",
+        "[APP] [1] Measurement main mode result: 1235 mm",
+    )
+
+    first, second = "C4:7C:8D:00:00:01", "C4:7C:8D:00:00:02"
+    assert [(r.emitter, r.range_m) for r in found] == [
+        (first, 1.234),
+        (second, 2.345),
+        (first, 1.235),
+    ]
+    assert decoder.counts.unrecognised == 0
 
 
 def test_several_of_one_line_are_all_read() -> None:
@@ -176,6 +203,8 @@ def test_a_pozyx_answers_in_hexadecimal() -> None:
             271.5,
             0.66,
         ),
+        ("%045/7", 45.0, 0.7778),
+        ("%143/9", 143.0, 1.0),
     ],
 )
 def test_a_doppler_finder_says_degrees_clockwise(
