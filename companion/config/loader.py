@@ -50,6 +50,12 @@ _OCTAL = re.compile(r"[-+]?0[0_]*[1-7]_*[0-7]")
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+|\.\.\.)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
+_TYPE = re.compile(r"`(?P<names>[a-z]+(?: \| [a-z]+)*)`")
+_TYPE_WORDS = {
+    **{"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"},
+    **{"array": "a list", "object": "`key: value` lines", "null": "null"},
+}
+"""Words for msgspec's names of types."""
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
@@ -294,9 +300,12 @@ def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
 
 
 def _kind_of(value: object) -> str:
-    if isinstance(value, list):
-        return "a list"
-    return "text" if isinstance(value, str) else f"`{value}`"
+    """Return a plain value as an error shows it."""
+    if isinstance(value, list | dict):
+        return _TYPE_WORDS["array" if isinstance(value, list) else "object"]
+    if isinstance(value, str):
+        return f"text: {value if len(value) <= SHOWN else f'{value[:SHOWN]}...'}"
+    return "null" if value is None else str(value).lower()
 
 
 def _one_line(text: str) -> str:
@@ -358,13 +367,21 @@ def _on_unknown_key(kind: type, path: str, key: str) -> str:
 
 
 def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:
-    """Return an error with the words that a choice has, or with the value of another type."""
-    if problem.startswith("Invalid enum value"):
-        words = [str(word) for each in _types_at(kind, path) for word in _words_of(each)]
-        return f"{problem}; there are {', '.join(words)}" if words else problem
-    if isinstance(value, str) and problem.endswith("got `str`"):
-        return f"{problem}: {value if len(value) <= SHOWN else f'{value[:SHOWN]}...'}"
-    return problem
+    """Return an error in words, with the words of a choice, or with the value of another type."""
+    choices = [str(word) for each in _types_at(kind, path) for word in _words_of(each)]
+    if choices and problem.startswith(("Invalid enum value", "Expected `str")):
+        return f"{_kind_of(value).removeprefix('text: ')} is none of {', '.join(choices)}"
+    wanted, got, name = problem.partition(", got `")
+    return in_words(f"{wanted}, got {_kind_of(value)}" if got and name.endswith("`") else problem)
+
+
+def in_words(problem: str) -> str:
+    """Return a message of msgspec with words for the names of its types."""
+
+    def words_of(match: re.Match[str]) -> str:
+        return " or ".join(_TYPE_WORDS.get(name, name) for name in match["names"].split(" | "))
+
+    return _TYPE.sub(words_of, problem.replace("Expected `", "expected `", 1))
 
 
 def _value_at(raw: object, path: str) -> object:

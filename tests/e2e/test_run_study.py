@@ -128,7 +128,7 @@ def test_a_cluster_makes_the_same_bytes_though_a_worker_is_killed(
         ("ekf/reactive", "ekf/reactiv", [], "'reactiv' is none of passive, reactive"),
         ("varies:", "varries:", [], "$.sweeps[0].varries: unknown key"),
         ("p_nlos]", "p_los]", [], "did you mean `p_nlos`?"),
-        ("runs: 100", "runs: 0", [], "$.runs: Expected `int` >= 1"),
+        ("runs: 100", "runs: 0", [], "$.runs: expected a whole number >= 1"),
         ("", "", ["--backend", "dask://127.0.0.1:9"], "no dask scheduler answers there"),
     ],
 )

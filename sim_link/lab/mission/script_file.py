@@ -1,6 +1,6 @@
 """Mission files: YAML to `Mission`, with errors that name file, line and path.
 
-`mission.yaml:17: $.steps[3].wait_until.limit_s: Expected `float` > 0.0`
+`mission.yaml:17: $.steps[3].wait_until.limit_s: expected a number > 0.0`
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _TOKEN = re.compile(r"\.([^.\[\]]+)|\[(\d+)\]")
 _MESSAGE = re.compile(r"^(?P<path>\$[^:]*): (?P<problem>.*)$", re.DOTALL)
 _STEP = re.compile(r"^\$\.steps\[\d+\]$")
 _UNKNOWN_STEP = re.compile(r"^\$\.steps\[\d+\]\.(?P<name>[^.\[\]]+)$")
-_CHOICE = re.compile(r"^Invalid (?:enum )?value '(?P<value>.*?)'(?:; there are .*)?$")
+_CHOICE = re.compile(r"^(?:Invalid value '(?P<tag>.*)'|(?P<word>.*) is none of .*)$")
 
 STEPS = (*STEP_KINDS, "inject")
 ONE_LINE = "must be one line"
@@ -149,12 +149,13 @@ def _with_hint(path: str, problem: str) -> str:
     match = _CHOICE.match(problem)
     if match is None:
         return problem
+    value = match["tag"] or match["word"] or ""
     if path.endswith(".inject.kind"):
-        return _unknown("fault", match["value"], KINDS)
+        return _unknown("fault", value, KINDS)
     if _STEP.match(path):
-        if match["value"] in STEPS:
-            return f"{match['value']} needs keys: `{match['value']}: {{...}}`"
-        return _unknown("step", match["value"], STEPS)
+        if value in STEPS:
+            return f"{value} needs keys: `{value}: {{...}}`"
+        return _unknown("step", value, STEPS)
     return problem
 
 

@@ -85,8 +85,7 @@ def test_a_file_that_is_wrong_is_refused(capsys: pytest.CaptureFixture[str], sit
         ),
         (
             "name: makerfabs_at, options: {hidden: tga}",
-            "radios[0] (makerfabs_at): options.hidden: Invalid enum value 'tga';"
-            " there are anchor, tag",
+            "radios[0] (makerfabs_at): options.hidden: tga is none of anchor, tag",
         ),
     ],
 )

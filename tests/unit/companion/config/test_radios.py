@@ -50,8 +50,8 @@ def test_a_radio_of_a_file_is_set_as_it_says_and_else_by_its_kind() -> None:
     ("setting", "problem"),
     [
         ("range_offset: 1.0", "$.radios[0].settings.range_offset: unknown key"),
-        ("range_scale: 9.0", "$.radios[0].settings.range_scale: Expected `float` <= 2.0"),
-        ("bearing_sign: 2", "$.radios[0].settings.bearing_sign: Invalid enum value 2"),
+        ("range_scale: 9.0", "$.radios[0].settings.range_scale: expected a number <= 2.0"),
+        ("bearing_sign: 2", "$.radios[0].settings.bearing_sign: 2 is none of -1, 1"),
         ("emitters: {tag: 70000}", "$.radios[0].settings.emitters"),
         ("range_min_m: 5.0, range_max_m: 1.0", "$.radios[0].settings.range_max_m: must be above"),
     ],

@@ -76,7 +76,7 @@ def test_an_unknown_study_gets_a_hint() -> None:
         ("title:", "titel:", r"\$\.titel", "unknown key"),
         ("varies:", "varys:", r"\$\.sweeps\[0\]\.varys", "unknown key"),
         ("[final_rmse_m]", "[final_rsme_m]", r"\$\.metrics\[0\]", "final_rsme_m"),
-        ("title: Small", "figures: [track]\ntitle: x", r"\$\.figures\[0\]", "'track'"),
+        ("title: Small", "figures: [track]\ntitle: x", r"\$\.figures\[0\]", ": track is none of"),
         (
             "[ekf/passive]",
             "{filters: [ekf], planners: [latchd]}",
