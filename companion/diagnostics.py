@@ -271,7 +271,7 @@ class Supervisor:
 
     def status(self, text: str) -> None:
         """Set the status line of `systemctl status`."""
-        self.say(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
+        self.notify(f"STATUS={' '.join(text.split())[:MAX_STATUS]}")
 
     def close(self) -> None:
         """Close the socket."""
@@ -279,7 +279,7 @@ class Supervisor:
             self._socket.close()
             self._socket = None
 
-    def say(self, words: str) -> None:
+    def notify(self, words: str) -> None:
         """Notify the service manager, if it listens."""
         if self._socket is None or self._address is None:
             return
@@ -332,7 +332,7 @@ class Watchdog:
             return
         if not self._is_ready:
             self._is_ready = True
-            self._supervisor.say(READY)
+            self._supervisor.notify(READY)
         if wall_s < min(self._next_feed_s, self._next_status_s):
             return
         missing = self.missing()
@@ -340,7 +340,7 @@ class Watchdog:
             timeout_s = self._supervisor.watchdog_s or STATUS_PERIOD_S
             self._next_feed_s = wall_s + timeout_s / FEEDS_PER_TIMEOUT
             self._ticks = self._timing.fired
-            self._supervisor.say(ALIVE)
+            self._supervisor.notify(ALIVE)
         if wall_s >= self._next_status_s:
             self._next_status_s = wall_s + STATUS_PERIOD_S
             status = self._endpoint.session.status(now_s)
@@ -370,7 +370,7 @@ LONGEST_RUN_S = 1.0
 """Processor time. A loop that is due every 50 ms has stalled by then, whatever its priority."""
 RLIMIT_RTTIME = 15
 """Microseconds of processor time between two waits; Python's `resource` has no name for it."""
-NORMAL_PRIORITY = "normal priority: on a busy computer setpoints may come late"
+NORMAL_PRIORITY = "normal priority: on a busy computer setpoints may be late"
 HOW_TO_ALLOW = "run it as the service, or type before: sudo prlimit --pid $$ --rtprio=1"
 
 log = logging.getLogger("companion.process")
@@ -386,7 +386,7 @@ def raised_priority() -> Iterator[str | None]:
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     limits, handler = resource.getrlimit(RLIMIT_RTTIME), signal.getsignal(signal.SIGXCPU)
-    _become_nice()
+    _set_niceness()
     _become_real_time()
     try:
         yield _description()
@@ -398,8 +398,8 @@ def raised_priority() -> Iterator[str | None]:
         signal.signal(signal.SIGXCPU, handler)
 
 
-def _become_nice() -> None:
-    """Take the lowest niceness that is allowed; it counts where real-time priority is refused."""
+def _set_niceness() -> None:
+    """Set the lowest niceness that is allowed, for use without real-time priority."""
     for niceness in range(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)):
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, niceness)

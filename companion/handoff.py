@@ -5,7 +5,7 @@ QGroundControl open the KML. Cursor on Target (CoT) is the format of TAK's maps,
 that ground teams read out over the radio.
 
 A ground team goes to the position with its own receiver, whose error is independent of the
-vehicle's. So ellipses, the grid and the radius that comes first are absolute; the relative radius
+vehicle's. So ellipses, the grid and the radius named first are absolute; the relative radius
 is added, for sending the vehicle back.
 """
 

@@ -377,7 +377,7 @@ class _Flight:
             self._journal.discard()
             raise
         finally:
-            self._supervisor.say(STOPPING)
+            self._supervisor.notify(STOPPING)
             if self._restart is not None:
                 self._restart.close(CLOSE_S)
             self._parameters.close(CLOSE_S)

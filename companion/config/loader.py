@@ -340,7 +340,7 @@ def preset_named(name: str) -> Path:
 
 
 def preset_names() -> list[str]:
-    """Return the names that `preset_named` knows."""
+    """Return the names that `preset_named` accepts."""
     names = {
         str(file.relative_to(folder / kind).with_suffix(""))
         for folder in CONFIG_FOLDERS

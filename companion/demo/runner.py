@@ -282,7 +282,7 @@ def busy_hint(late_s: float) -> str:
     """Return the remedy for a mode lost by a wake-up `late_s` of flight late; empty: in time."""
     if late_s <= LATE_S:
         return ""
-    late = f"a control tick came {late_s:.1f} s late"
+    late = f"a control tick was {late_s:.1f} s late"
     return f"; this computer is too busy ({late}): end other programs and try again"
 
 

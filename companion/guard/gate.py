@@ -171,7 +171,7 @@ class Guard:
         return Guarded(position_enu_m)
 
     def hold(self, previous: Guarded, motion: Motion, dt_s: float) -> Guarded:
-        """Return the previous setpoint, at rest: it may stop at once. One outside comes in."""
+        """Return the previous setpoint, at rest: it may stop at once. From outside it moves in."""
         at, climb_mps = previous.position_enu_m, previous.velocity_enu_mps[2]
         if self._known is None or self._known[0].allows(at[:2]):
             is_in_band = self._in_band(at[2], motion, []) == at[2]

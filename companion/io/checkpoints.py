@@ -5,7 +5,7 @@ A checkpoint is one of two files that are written alternately, with a checksum:
     magic (4)  version (2)  zero (2)  length of the payload (4)  payload  CRC-32 of all before (4)
 
 Little-endian; the payload is MessagePack. A file that is truncated, has a flipped bit (CRC-32
-detects every burst of up to 32 bits), or comes from another version is refused as a whole: a
+detects every burst of up to 32 bits), or is of another version is refused as a whole: a
 partial memory is worse than none.
 
 A checkpoint replaces the older of the two files (`files.write_bytes_atomic`, in a thread of its

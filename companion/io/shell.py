@@ -85,7 +85,7 @@ MAX_TIMER_S = 3600.0
 """Longest timer: the loop refuses timers of many days, and an hourly wake-up costs nothing."""
 
 GATHER_S = 0.002
-"""Wait for the rest of a burst: a cycle's messages come within 1 ms, cycles 4 to 20 ms apart."""
+"""Wait for the rest of a burst: a cycle's messages arrive within 1 ms, cycles 4 to 20 ms apart."""
 
 OnWakeup = Callable[[float], None]
 SignalHandler: TypeAlias = "Callable[[int, FrameType | None], Any] | int | None"

@@ -337,7 +337,7 @@ def _regions(outlook: Outlook, level: float) -> tuple[Region, ...]:
 
 
 def _gaining(before: Outlook, after: Outlook) -> Bools:
-    """Return the cells from which most of a gain comes."""
+    """Return the cells that make up most of a gain."""
     gain = (before.chance - after.chance).sum(axis=1)
     cells: Bools = gain >= 0.5 * gain.max()
     return cells

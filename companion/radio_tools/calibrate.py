@@ -207,7 +207,7 @@ def _point(
 
 
 def _chosen(found: _Found, emitter: str | None, windows: Sequence[RunWindow]) -> CalibrationRun:
-    """Return the run of the emitter that is asked for, or of the only one."""
+    """Return the run of the selected emitter, or of the only one."""
     shown = {key: found.names.get(key[1], str(key[1])) for key in found.measurements}
     fitting = [key for key in shown if emitter in (None, shown[key], str(key[1]))]
     listed = ", ".join(

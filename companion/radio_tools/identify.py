@@ -147,7 +147,7 @@ def _left_over(candidate: _Candidate) -> tuple[int, int, int]:
     return (counts.resync_bytes, counts.refused.total(), -readings)
 
 
-class Ear(OneShotEndpoint):
+class RadioListener(OneShotEndpoint):
     """Listens to one link until the radio is recognised or the attempt's time is over."""
 
     def __init__(self, listener: Listener, share_s: float, most_s: float) -> None:
@@ -234,8 +234,8 @@ def listen(attempt: Attempt, listener: Listener) -> None:
     """Listen on a real line."""
     setup = radio_setup(RadioConfig(name=attempt.radio), "identify")
     link = radio_link(setup, attempt.url, is_probed=True)
-    ear = Ear(listener, attempt.share_s, attempt.most_s)
-    Shell(ear, [link.transport], Clock()).run_blocking()
+    listening = RadioListener(listener, attempt.share_s, attempt.most_s)
+    Shell(listening, [link.transport], Clock()).run_blocking()
 
 
 def identify(

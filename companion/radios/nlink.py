@@ -204,7 +204,7 @@ class NlinkDecoder(FrameDecoder):
         return readings if at == end else None
 
     def _azimuth_rad(self, raw: int, fp: int) -> float | None:
-        """Return the azimuth; None if the signal came from behind."""
+        """Return the azimuth; None if the signal is from behind."""
         least_dbm = self.options.behind_fp_dbm
         if least_dbm is not None and fp * DBM < least_dbm:
             self.counts.refuse("from behind: angle dropped")

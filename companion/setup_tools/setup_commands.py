@@ -5,7 +5,7 @@ docs/px4.md and docs/ardupilot.md. `companion doctor` reads the values back and 
 
 Files are written or removed all together, or none of them. Every file is made and checked in a
 folder of its own, and then moved into its place. An earlier file there is kept next to it, under
-its name and `.before-setup`, and comes back with `--remove`. `setup.json` lists the written files,
+its name and `.before-setup`, and is restored by `--remove`. `setup.json` lists the written files,
 with checksums, so that no file is deleted that was changed since.
 """
 
@@ -218,7 +218,7 @@ class Choices:
     autopilot: str
     connect: str
     radio: str | None
-    """NAME[:OPTIONS]@URL; None: measurements come by the autopilot's link or `ranging`."""
+    """NAME[:OPTIONS]@URL; None: measurements arrive on the autopilot's link or `ranging`."""
     ranging: str | None
     preset: str | None
     fence: Path | None

@@ -143,7 +143,7 @@ def noises(stream: bytes, rng: np.random.Generator) -> dict[str, bytes]:
 
 
 def pieces(data: bytes, size: int = PIECE_BYTES) -> Iterator[bytes]:
-    """Yield data in pieces, as it comes over a line."""
+    """Yield data in pieces, as it arrives on a line."""
     return (data[at : at + size] for at in range(0, len(data), size))
 
 

@@ -1,4 +1,4 @@
-"""History of a flight for maps, and its transfer to readers that come late or lose a part.
+"""History of a flight for maps, and its transfer to readers that join late or lose a part.
 
 The flight keeps the track and the curves, thinned, from its own event log. A page gets the part
 that it lacks with the next snapshot that is sent, and a browser with the next update. So snapshots

@@ -46,7 +46,7 @@ ALWAYS = {
 
 
 def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
-    """Return the next step; texts for every phase come first."""
+    """Return the next step; texts of phases have precedence."""
     vehicle = endpoint.session.vehicle
     if endpoint.binding.heard_s is None:
         return "Switch the autopilot on. Nothing is heard yet: check cable, port and --connect."

@@ -100,7 +100,7 @@ def _confirmation(
 
 
 class HandoffButton:
-    """HAND OVER, for the ground team; visible once an emitter was located."""
+    """HAND OVER, for the ground team; visible once an emitter is localised."""
 
     def __init__(self) -> None:
         self._found: object = []
@@ -114,7 +114,7 @@ class HandoffButton:
         self._button.classes("press").set_visibility(False)
 
     def show(self, picture: Json) -> None:
-        """Set the located emitters; an open dialog stays as it was."""
+        """Set the localised emitters; an open dialog stays as it was."""
         self._found = picture.get("found", [])
         self._button.set_visibility(bool(self._found))
 

@@ -28,7 +28,7 @@ SENDER = "companion"
 
 
 class LocalisedEmitter(msgspec.Struct, frozen=True):
-    """An emitter that was located, as the flight sends it."""
+    """A localised emitter, as the flight sends it."""
 
     emitter: str
     estimate: TargetEstimate
@@ -42,7 +42,7 @@ class LocalisedEmitter(msgspec.Struct, frozen=True):
 
 
 def fill(found: object) -> None:
-    """Fill the open dialog with the located emitters."""
+    """Fill the open dialog with the localised emitters."""
     handoffs = [each.handoff for each in msgspec.convert(found, list[LocalisedEmitter])]
     for handoff in handoffs:
         _show(handoff)

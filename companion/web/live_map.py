@@ -391,7 +391,7 @@ class WebView(Collector):
         return time.time() if self._replayed is None else self._replayed.began_unix_s + now_s
 
     def _found(self, endpoint: CompanionEndpoint, now_s: float) -> list[Sample]:
-        """Return located emitters and the origin; hand-offs are made on request (10 ms each)."""
+        """Return localised emitters and the origin; hand-offs are made on request (10 ms each)."""
         origin = endpoint.session.vehicle.origin
         if origin is None:
             return []

@@ -1,7 +1,7 @@
-// Calls the page dead once no picture has come for a while. The browser has to do it: the process
+// Calls the page dead once no picture has arrived for long. The browser has to do it: the process
 // that served the page, the companion behind it or the network between may be gone.
 (() => {
-  const DEAD_MS = 1500; // six pictures; with the time between two looks within two seconds
+  const DEAD_MS = 1500; // six pictures; with the time between two checks within two seconds
   const LOOK_MS = 250;
   let heardMs = null; // of the monotonic clock
   let heardAt = null;

@@ -16,7 +16,7 @@ from companion.geometry.polygons import CHI2_95_TWO
 
 REPLAYED = "#6b21a8"
 GOOD, WARN, BAD, QUIET, DONE = "#15803d", "#b45309", "#b91c1c", "#475569", "#1f4e79"
-"""Backgrounds that white text is read on."""
+"""Background colours behind white text."""
 PHASE_COLOURS = {
     "normal": GOOD,
     "degraded": WARN,

@@ -230,7 +230,7 @@ class Aircraft:
         """Home above mean sea level, on the flat ground's scale."""
         return self.estimator.world_origin.altitude_m + self.home_enu_m[2]
 
-    def say(self, severity: int, text: str) -> None:
+    def notify(self, severity: int, text: str) -> None:
         """Queue a text for the operators."""
         self.texts = [*self.texts[-MAX_TEXTS:], (severity, text)]
 

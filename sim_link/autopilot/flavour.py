@@ -112,7 +112,7 @@ def terminate(flavour: AutopilotFlavour, command: Command, _now_s: float) -> int
     """Handle DO_FLIGHTTERMINATION."""
     if command.params[0] != 1.0:
         return flavour.firmware.refusal
-    flavour.aircraft.say(*flavour.firmware.termination)
+    flavour.aircraft.notify(*flavour.firmware.termination)
     return flavour.disarm(is_forced=True)
 
 
@@ -368,7 +368,7 @@ class AutopilotFlavour(ABC):
     def send_rejection(self, prefix: str, why: str | None) -> None:
         """Send a text with the reason why it cannot be armed, if there is one."""
         if why is not None:
-            self.aircraft.say(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
+            self.aircraft.notify(mavlink.MAV_SEVERITY_CRITICAL, f"{prefix}: {why}")
 
     def note(self, now_s: float, text: str) -> None:
         """Add an occurrence with the current mode to the vehicle's record."""

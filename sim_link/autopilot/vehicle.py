@@ -120,7 +120,7 @@ class SimVehicle:
 
 
 class IncidentSchedule:
-    """Schedule of the incidents that are still to come."""
+    """Schedule of the remaining incidents."""
 
     def __init__(self, incidents: Iterable[Incident]) -> None:
         self._coming = sorted(incidents, key=lambda incident: incident.start_s, reverse=True)

@@ -7,7 +7,7 @@ the plane, taut about the corners as if every obstacle were tall, its climb spre
 path; or over, a taut string over the roofs, in the upright plane through both ends. The paths from
 every corner to the emitter are found once (`ways_to`): they do not depend on the sensor.
 
-An obstacle lets out what is inside of it: it blocks every such path, but it makes no detour. Where
+An obstacle blocks every path from or to its inside, but such a path makes no detour. Where
 no way is left (a yard closed on all sides) the signal goes straight through. A touched wall blocks;
 a path along a wall, or one that ends on it, does not meet it.
 
@@ -49,7 +49,7 @@ class Surroundings(NamedTuple):
     """Walls, (k, 6), those of one obstacle in a row."""
     corners: Matrix
     """Corners that a path may turn at, and the length of the path from there, metres, (c, 3)."""
-    lets_out: Flags
+    ignored: Flags
     """Flags of walls, (k,): True for obstacles that contain the emitter, which do not block it."""
 
 
@@ -149,28 +149,28 @@ def is_blocked(target_e: float, target_n: float, e: float, n: float, edges: Matr
 
 
 @kernel
-def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, lets_out: Flags) -> bool:
-    """Return True if a leg in the plane meets a wall other than those in `lets_out`."""
+def is_cut(ae: float, an: float, be: float, bn: float, edges: Matrix, ignored: Flags) -> bool:
+    """Return True if a leg in the plane meets a wall other than those in `ignored`."""
     for index in range(len(edges)):
-        if not lets_out[index] and share_to_wall(ae, an, be, bn, index, edges) != NOWHERE:
+        if not ignored[index] and share_to_wall(ae, an, be, bn, index, edges) != NOWHERE:
             return True
     return False
 
 
 @kernel
 def ways_to(
-    target_e: float, target_n: float, corners: Matrix, edges: Matrix, lets_out: Flags
+    target_e: float, target_n: float, corners: Matrix, edges: Matrix, ignored: Flags
 ) -> Vector:
     """Return the shortest paths from every corner to a target, (c,), metres; infinite: none.
 
     Dijkstra's algorithm over the legs between corners (c, 2) that no wall (k, 6) cuts, each tested
-    only if it would shorten a path. `lets_out` (k,) are walls about the target.
+    only if it would shorten a path. `ignored` (k,) are walls about the target.
     """
     count = len(corners)
     ways, open_ways = np.full(count, np.inf), np.full(count, np.inf)
     for index in range(count):
         e, n = corners[index, 0], corners[index, 1]
-        if not is_cut(target_e, target_n, e, n, edges, lets_out):
+        if not is_cut(target_e, target_n, e, n, edges, ignored):
             ways[index] = open_ways[index] = math.hypot(target_e - e, target_n - n)
     for _ in range(count):
         near = int(np.argmin(open_ways))
@@ -181,19 +181,17 @@ def ways_to(
         for index in range(count):
             e, n = corners[index, 0], corners[index, 1]
             way = ways[near] + math.hypot(ne - e, nn - n)
-            if way < ways[index] and not is_cut(ne, nn, e, n, edges, lets_out):
+            if way < ways[index] and not is_cut(ne, nn, e, n, edges, ignored):
                 ways[index] = open_ways[index] = way
     return ways
 
 
 @kernel
-def way_around(
-    e: float, n: float, surroundings: Surroundings, lets_out: Flags
-) -> tuple[float, int]:
+def way_around(e: float, n: float, surroundings: Surroundings, ignored: Flags) -> tuple[float, int]:
     """Return the shortest way in the plane, m, infinite: none; and its first corner, or -1."""
     target_e, target_n, corners = surroundings.east_m, surroundings.north_m, surroundings.corners
     edges = surroundings.edges
-    if not is_cut(target_e, target_n, e, n, edges, lets_out):
+    if not is_cut(target_e, target_n, e, n, edges, ignored):
         return math.hypot(target_e - e, target_n - n), -1
     ways = np.empty(len(corners))
     for index in range(len(corners)):
@@ -201,7 +199,7 @@ def way_around(
         ways[index] = leg + corners[index, 2]
     for _ in range(len(corners)):
         best = int(np.argmin(ways))
-        if not is_cut(corners[best, 0], corners[best, 1], e, n, edges, lets_out):
+        if not is_cut(corners[best, 0], corners[best, 1], e, n, edges, ignored):
             return ways[best], best
         ways[best] = np.inf
     return np.inf, -1
@@ -226,7 +224,7 @@ def taut_m(at_m: Vector, tops_m: Vector, start_up: float, length_m: float, end_u
 
 
 @kernel
-def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out: Flags) -> float:
+def way_over(e: float, n: float, up: float, surroundings: Surroundings, ignored: Flags) -> float:
     """Return the shortest path straight over the roofs, metres; infinite: too high."""
     target_e, target_n, edges = surroundings.east_m, surroundings.north_m, surroundings.edges
     length_m = math.hypot(target_e - e, target_n - n)
@@ -234,7 +232,7 @@ def way_over(e: float, n: float, up: float, surroundings: Surroundings, lets_out
     met = 0
     for index in range(len(edges)):
         share = share_to_wall(target_e, target_n, e, n, index, edges)
-        if share == NOWHERE or lets_out[index]:
+        if share == NOWHERE or ignored[index]:
             continue
         if edges[index, TOP] == np.inf:
             return np.inf
@@ -254,10 +252,10 @@ def detour(e: float, n: float, up: float, surroundings: Surroundings) -> tuple[f
     de, dn = surroundings.east_m - e, surroundings.north_m - n
     climb_m = surroundings.up_m - up
     straight_m = math.hypot(math.hypot(de, dn), climb_m)
-    lets_out = surroundings.lets_out | holding(e, n, up, surroundings.edges)
-    around_m, first = way_around(e, n, surroundings, lets_out)
+    ignored = surroundings.ignored | holding(e, n, up, surroundings.edges)
+    around_m, first = way_around(e, n, surroundings, ignored)
     around_m = math.hypot(around_m, climb_m)
-    over_m = way_over(e, n, up, surroundings, lets_out)
+    over_m = way_over(e, n, up, surroundings, ignored)
     excess_m = min(around_m, over_m) - straight_m
     if excess_m == np.inf or first < 0 or over_m <= around_m:
         return (0.0 if excess_m == np.inf else max(0.0, excess_m)), 0.0
@@ -293,8 +291,8 @@ def surroundings_of(
 ) -> Surroundings:
     """Return an emitter among walls (k, 6) and corners (c, 2), with the paths from each corner."""
     east, north, up = target_enu_m
-    lets_out = holding(east, north, up, edges)
-    ways = ways_to(east, north, corners, edges, lets_out)
+    ignored = holding(east, north, up, edges)
+    ways = ways_to(east, north, corners, edges, ignored)
     reached = np.isfinite(ways)
     table = np.column_stack([corners[reached], ways[reached]])
-    return Surroundings(east, north, up, edges, table, lets_out)
+    return Surroundings(east, north, up, edges, table, ignored)

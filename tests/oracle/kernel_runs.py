@@ -200,7 +200,7 @@ def obstructions() -> Results:
     ]
     surroundings = Environment(obstacles).around((50.0, 50.0, 0.0))
     edges, corners = surroundings.edges, surroundings.corners[:, :2].copy()
-    yield "ways", ways_to(50.0, 50.0, corners, edges, surroundings.lets_out)
+    yield "ways", ways_to(50.0, 50.0, corners, edges, surroundings.ignored)
     rng, memory, shadow = np.random.default_rng(3), NO_MEMORY, shadow_of(ShadowParams())
     for step in range(120):
         angle = 0.11 * step

@@ -185,7 +185,7 @@ class FilterConfig(Params, frozen=True):
     """Hard bound of the scale error, to both sides."""
     power_at_1m_dbm: Annotated[float, msgspec.Meta(ge=-174.0, le=60.0)] | None = None
     """Prior mean of the received power 1 m from the emitter, known to 10 dB; null: unknown, and
-    power is used only of an emitter that gives nothing else at first."""
+    power is used only for an emitter that at first provides nothing else."""
     reach_m: Positive | None = None
     """Reach of this radio, as the standard deviation per axis of the target about the path; null:
     unlimited."""

@@ -14,7 +14,7 @@ with u the whitened residuals; ranges add their robust loss. Another antenna is 
 difference of the costs to every other candidate is `DECISION_LOG_ODDS`, and more than three
 standard deviations by noise, with the correlation of neighbours. Until then the planar array is
 assumed, the least informative model. An angle beyond a right one rules out a line at once. A
-bearing with a range that is too long came by reflection or around an edge, and is not evidence. A
+bearing with a range that is too long is from a reflection or around an edge, and is not evidence. A
 planar array is reported only where an azimuth's errors grow with the steepness: errors by
 diffraction around an edge are as large from aside. Accurate bearings right above prove an azimuth
 for good, and shadows and reflections only degrade them: so an azimuth is dropped only when the
@@ -52,7 +52,7 @@ MIN_DIRECTIONS = 40
 """Minimum number of directions for a comparison of antennas, or for a test of the configured one.
 
 4 s of a radio of 10 Hz: of as many the mean error is known to a sixth. With 20, flights of a planar
-array end alike.
+array end in the same way.
 """
 
 Candidate = Literal["azimuth", "planar", "line"]

@@ -5,7 +5,7 @@ per loop; here a refusal is counted at once and a wake-up reads a bounded batch.
 without SO_REUSEADDR and SO_REUSEPORT: with them a second listener on a port starts without an
 error and one of the two silently gets nothing.
 
-A socket can outlive the interface or the address that it was opened on, and then fails for ever.
+A socket can outlive the interface or the address that it was opened on, and then fails permanently.
 It is closed and reopened, with growing pauses, until it works.
 
 In a flood of unknown peers the socket's buffer overflows between two reads, and the autopilot's

@@ -115,7 +115,7 @@ class HttpPollLink(WaitingLink):
         self._period_s = period_s
         self._connection: http.client.HTTPConnection | None = None
         self._is_new = True
-        """True until the first page has come."""
+        """True until the first page has arrived."""
 
     def _work(self) -> None:
         due_s = time.monotonic()

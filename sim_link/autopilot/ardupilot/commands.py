@@ -73,7 +73,7 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     if table is not None:
         wanted = table.get(number)
         if wanted is None or wanted.copter_number is None:
-            flavour.aircraft.say(WARNING, f"No such mode {number}")
+            flavour.aircraft.notify(WARNING, f"No such mode {number}")
             return FAILED
         result = flavour.choose(MODES[wanted.copter_number], now_s)
         if result == ACCEPTED:
@@ -90,7 +90,7 @@ def _set_mode(flavour: ArduPilotFlavour, command: Command, now_s: float) -> int:
     name = NEVER_ENTERED.get(number)
     refused = f"Mode change to {name} failed: init failed"
     text = f"No such mode {number}" if name is None else refused
-    flavour.aircraft.say(WARNING, text)
+    flavour.aircraft.notify(WARNING, text)
     return FAILED
 
 
@@ -105,7 +105,7 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
         return FAILED
     up_m = aircraft.home_enu_m[2] + height_m
     if flavour.fence_margin_m((*aircraft.motion.position_enu_m[:2], up_m)) < 0.0:
-        aircraft.say(ERROR, "Takeoff: altitude is outside the fence")
+        aircraft.notify(ERROR, "Takeoff: altitude is outside the fence")
         return FAILED
     aircraft.controller.takeoff_up_m = up_m
     flavour.guided.take_off()
@@ -119,7 +119,7 @@ def _reposition(flavour: ArduPilotFlavour, command: Command, now_s: float) -> in
     if frame not in GLOBAL_FRAMES or position is None or not is_valid_position(position):
         return DENIED
     if not is_altitude(altitude_m):
-        aircraft.say(ERROR, "Reposition: altitude is not a number")
+        aircraft.notify(ERROR, "Reposition: altitude is not a number")
         return DENIED
     if flavour.copter_mode is not GUIDED:
         if not may_change_mode(command) or flavour.choose(GUIDED, now_s) != ACCEPTED:

@@ -182,7 +182,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         """Change the mode; return a MAV_RESULT, and send the reason as a text if refused."""
         why = self._mode_refusal(mode, now_s)
         if why is not None:
-            self.aircraft.say(WARNING, f"Mode change to {mode.name} failed: {why}")
+            self.aircraft.notify(WARNING, f"Mode change to {mode.name} failed: {why}")
             return FAILED
         self.chosen_number = None
         if mode is not self.copter_mode:
@@ -225,7 +225,7 @@ class ArduPilotFlavour(AutopilotFlavour):
             return FAILED
         self.aircraft.is_armed = True
         self.guided.stop()
-        self.aircraft.say(INFO, "Arming motors")
+        self.aircraft.notify(INFO, "Arming motors")
         return ACCEPTED
 
     def disarm(self, *, is_forced: bool) -> int:
@@ -237,7 +237,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         self.aircraft.is_armed = False
         self._failsafes.clear()
         self.guided.stop()
-        self.aircraft.say(INFO, "Disarming motors")
+        self.aircraft.notify(INFO, "Disarming motors")
         return ACCEPTED
 
     def take_setpoint(self, message: TargetMessage, now_s: float) -> None:
@@ -254,7 +254,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         if target is None or not is_flown:
             return
         if target.text:
-            self.aircraft.say(WARNING, target.text)
+            self.aircraft.notify(WARNING, target.text)
         setpoint = target.setpoint or Setpoint()
         position, up_m = setpoint.position_en_m, setpoint.up_m
         if (
@@ -333,7 +333,7 @@ class ArduPilotFlavour(AutopilotFlavour):
 
     def _react(self, event: FailsafeEvent, now_s: float) -> None:
         """Announce the event; on entering a failsafe, change the mode once."""
-        self.aircraft.say(CRITICAL, event.text)
+        self.aircraft.notify(CRITICAL, event.text)
         if event.stops_motors:
             self.disarm(is_forced=True)
         if event.reaction is None or self.aircraft.body.is_on_ground:
@@ -341,7 +341,7 @@ class ArduPilotFlavour(AutopilotFlavour):
         if self.choose(event.reaction, now_s) != ACCEPTED:
             self.choose(LAND, now_s)
         if event.names_mode:
-            self.aircraft.say(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
+            self.aircraft.notify(CRITICAL, f"{event.text}: changed to {self.copter_mode.name} Mode")
 
     def _runs_into_the_fence(self) -> bool:
         """Return True if the motion leads out of the fence: it is stopped FENCE_MARGIN inside."""

@@ -123,7 +123,7 @@ class PlanUploads:
         outgoing: list[Outgoing] = []
         for partner, upload in list(self._uploads.items()):
             if now_s >= upload.active_s + self._rules.timeout_s:
-                text = f"item {upload.expected} did not come"
+                text = f"item {upload.expected} did not arrive"
                 outgoing += self._fail(upload, partner, PlanResult.CANCELLED, text)
             elif now_s >= upload.asked_s + self._rules.retry_s:
                 outgoing.append(self._ask(upload, partner, now_s))

@@ -101,7 +101,7 @@ def _reposition(flavour: Px4Flavour, command: Command, now_s: float) -> int:
     if not is_altitude(up_m) or up_m - aircraft.home_enu_m[2] > MAX_HEIGHT_M:
         return DENIED
     if flavour.fence_margin_m((east, north, up_m)) < 0.0:
-        aircraft.say(mavlink.MAV_SEVERITY_ERROR, "Reposition is outside geofence")
+        aircraft.notify(mavlink.MAV_SEVERITY_ERROR, "Reposition is outside geofence")
         return DENIED
     if flavour.mode is not FlightMode.HOLD and not may_change_mode(command):
         return TEMPORARILY_REJECTED

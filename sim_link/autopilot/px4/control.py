@@ -311,7 +311,7 @@ class Px4Failsafes:
         """Send a text when the charge falls below BAT_LOW_THR."""
         is_low = self._aircraft.battery.share <= self._parameters["BAT_LOW_THR"]
         if is_low and not self._has_warned:
-            self._aircraft.say(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
+            self._aircraft.notify(mavlink.MAV_SEVERITY_WARNING, "Low battery level")
         self._has_warned = is_low
 
     def take_over(self) -> None:

@@ -202,7 +202,7 @@ class Px4Flavour(AutopilotFlavour):
 
     def refuse(self, mode: FlightMode, why: str) -> None:
         """Send a text with the reason why a mode was not entered."""
-        self.aircraft.say(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
+        self.aircraft.notify(CRITICAL, f"Switching to {name_of(mode)} not available: {why}")
 
     def arm(self, now_s: float) -> int:
         """Arm on request, forced or not; return a MAV_RESULT, and send the reason of a refusal."""
@@ -217,7 +217,7 @@ class Px4Flavour(AutopilotFlavour):
         """Handle a request to disarm; return a MAV_RESULT, and the reason as a text if refused."""
         if self.is_armed:
             if not (self.aircraft.body.is_on_ground or is_forced):
-                self.aircraft.say(CRITICAL, "Disarming denied: not landed")
+                self.aircraft.notify(CRITICAL, "Disarming denied: not landed")
                 return TEMPORARILY_REJECTED
             if self.is_failsafe or self.mode in ENDED_BY_DISARMING:
                 self.intention = FlightMode.HOLD
@@ -300,11 +300,11 @@ class Px4Flavour(AutopilotFlavour):
             is_stream_alive=self._is_stream_alive(now_s),
         )
         for cause in fresh:
-            self.aircraft.say(CRITICAL, f"Failsafe: {cause.text}")
+            self.aircraft.notify(CRITICAL, f"Failsafe: {cause.text}")
             delay_s = self._failsafes.delay_s
             wait = f", entering Hold for {delay_s:.0f} seconds" if delay_s > 0.0 else ""
             # The tab marks that an EVENT has the same content.
-            self.aircraft.say(CRITICAL, f"Failsafe activated{wait}\t")
+            self.aircraft.notify(CRITICAL, f"Failsafe activated{wait}\t")
         reaction = self._failsafes.flown
         if reaction is Reaction.DISARM:
             self.disarm(is_forced=True)

@@ -59,7 +59,7 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(HEARTBEAT_SERVICE)
     def says_so_once_a_second(self) -> None:
-        """HEARTBEAT comes once a second."""
+        """HEARTBEAT is sent once a second."""
         mark = self.mark
         self.run(HEARTBEATS_S)
         times = self.times(mav.Heartbeat, mark)
@@ -126,7 +126,7 @@ class IdentityRules(CompanionProbe):
 
     @book.rule(PING)
     def ping_request_is_answered_rightly(self) -> None:
-        """A PING to 0/0, if it is answered, comes back to its sender with time and sequence."""
+        """An answer to a PING to 0/0 goes to its sender, with its time and sequence."""
         mark = self.mark
         self.send(mav.Ping(123_456, 4_711, 0, 0))
         self.run(1.0)
@@ -197,7 +197,7 @@ class RequestRules(CompanionProbe):
         """It requests the streams that it needs from the autopilot."""
         self.run(3.0)
         streams = self.heard(mavlink.MAVLink_request_data_stream_message)
-        require(bool(self._stream_requests()) or bool(streams), "nothing was asked for")
+        require(bool(self._stream_requests()) or bool(streams), "nothing was requested")
 
     @book.rule(ROUTING)
     def commands_name_the_vehicle(self) -> None:
@@ -294,7 +294,7 @@ class SetpointRules(CompanionProbe):
         return self.setpoints()
 
     def _late_setpoints(self, mode: str, listen_s: float = LISTEN_S) -> int:
-        """Count the setpoints that come more than a second after another mode was selected."""
+        """Count the setpoints that arrive more than a second after another mode was selected."""
         self.choose(mode)
         self.run(REACTION_S)
         mark = self.mark
@@ -379,7 +379,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_BOTH}: a stream still running acts when the mode returns")
     def foreign_mode_ends_the_stream(self) -> None:
-        """Setpoints stop within a second after the operator takes the mode away.
+        """Setpoints stop within a second after the operator leaves the mode.
 
         A stream that makes ready for the next time begins no sooner than two seconds after the
         mode, only where the autopilot needs it, and moves nothing.
@@ -408,7 +408,7 @@ class SetpointRules(CompanionProbe):
 
     @book.rule(f"{mav.OBSERVED_PX4} (returning setpoints return OFFBOARD)")
     def failsafe_ends_the_stream(self) -> None:
-        """Setpoints stop when a failsafe takes the mode; the stream would take the vehicle back."""
+        """Setpoints stop when a failsafe changes the mode: a stream would take control back."""
         self.give_control()
         self.is_failsafe = True
         late = self._late_setpoints(FOREIGN_MODES[self.flavour][1])

@@ -134,7 +134,7 @@ class CompanionProbe(Station):
         self.run(SETTLE_S)
 
     def setpoints(self, mark: int = 0) -> list[SetpointMessage]:
-        """Return the setpoints that came since a mark."""
+        """Return the setpoints received since a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, SETPOINTS)]
 
     def commands(self, mark: int = 0) -> list[CommandMessage]:
@@ -148,7 +148,7 @@ class CompanionProbe(Station):
             require(target == (self.system_id, self.component_id), brief(message))
 
     def await_setpoints(self, within_s: float = 15.0) -> None:
-        """Wait until setpoints come; `NotApplicable`: the companion streams none unprompted."""
+        """Wait until setpoints arrive; `NotApplicable`: the companion streams none unprompted."""
         mark = self.mark
         are_heard = self.run_until(lambda: bool(self.setpoints(mark)), within_s)
         assume(are_heard, f"no setpoints within {within_s:g} s")

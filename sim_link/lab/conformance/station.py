@@ -58,7 +58,7 @@ M = TypeVar("M", bound=Message)
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A message and when it came."""
+    """A message and its time of arrival."""
 
     time_s: float
     message: Message
@@ -237,7 +237,7 @@ class Station:
         return self.inbox[mark:]
 
     def heard(self, kind: type[M], mark: int = 0) -> list[M]:
-        """Return the messages of a kind that came after a mark."""
+        """Return the messages of a kind received after a mark."""
         return [e.message for e in self.inbox[mark:] if isinstance(e.message, kind)]
 
     def times(self, kind: type[M] | tuple[type[M], ...], mark: int = 0) -> list[float]:

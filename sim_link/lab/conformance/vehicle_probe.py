@@ -103,7 +103,7 @@ class VehicleProbe(Station):
         return [message for message in self.heard(kind, mark) if self.is_own(message)]
 
     def latest(self, kind: type[M]) -> M:
-        """Return the newest message of a kind; asked for if none came yet."""
+        """Return the newest message of a kind, requested if none has arrived."""
         return self._newest(kind) or self.request(kind)
 
     def _newest(self, kind: type[M]) -> M | None:
@@ -229,7 +229,7 @@ class VehicleProbe(Station):
         return self.is_synchronised(stamp, self.asked, ACK_S)
 
     def is_synchronised(self, stamp: int, mark: int, within_s: float) -> bool:
-        """Advance the time; return True if a TIMESYNC with `ts1` = `stamp` comes after a mark."""
+        """Advance the time; return True if a TIMESYNC with `ts1` = `stamp` arrives after a mark."""
         return self.run_until(
             lambda: any(m.ts1 == stamp for m in self.heard(mav.Timesync, mark)), within_s
         )
@@ -429,7 +429,7 @@ class VehicleProbe(Station):
         )
 
     def where_e7(self) -> tuple[int, int]:
-        """Return latitude and longitude, 1e-7 degrees, asked for."""
+        """Request the position; return latitude and longitude, 1e-7 degrees."""
         report = self.request(mav.GlobalPosition)
         return (report.lat, report.lon)
 

@@ -276,7 +276,7 @@ class _Outliers(ContentEffect[faults.RangingOutliers]):
     SHORTEST_M = 0.1
     """Shortest range after a fault has shortened it, metres."""
     _left = 0
-    """Answers of the current burst that are still to come."""
+    """Remaining answers of the current burst."""
 
     def _change(self, message: Any) -> None:
         if self._left == 0 and self._happens(self.fault.share):

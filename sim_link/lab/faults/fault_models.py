@@ -68,7 +68,7 @@ class LinkDuplicates(LinkFault, frozen=True, tag="link_duplicates"):
     copies: Count = 1
     """Number of copies besides the frame itself."""
     spread_s: NonNegative = 0.1
-    """Copies come up to this much later."""
+    """Copies arrive up to this much later."""
 
 
 class LinkBitFlips(LinkFault, frozen=True, tag="link_bit_flips"):
@@ -132,7 +132,7 @@ class RangingFreeze(ContentFault, frozen=True, tag="ranging_freeze"):
 
 
 class RangingWrongUnit(ContentFault, frozen=True, tag="ranging_wrong_unit"):
-    """Range or bearing comes in another unit."""
+    """Range or bearing is reported in another unit."""
 
     of: RangingField = "range"
     factor: Positive = 100.0

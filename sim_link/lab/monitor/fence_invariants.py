@@ -82,7 +82,7 @@ FREEZE_EVERY_S = 2.0
 FREEZE_FOR_S = 60.0
 FREEZE_STEP_S = 0.1
 KEPT_S = 2.5
-"""Time after a jump of the vehicle position in which the setpoint moves nowhere."""
+"""Time after a jump of the vehicle position in which the setpoint does not move."""
 SAFE_M = 1.0
 """Depth inside that need not be known more exactly."""
 AT_REST_MPS, ARRIVED_M = 0.05, 0.2
@@ -414,4 +414,4 @@ class FenceIsRead(Invariant):
             self._since_s = None
         if self._since_s is not None and self._is_shown and now_s - self._since_s > REACTION_S:
             self._since_s = None
-            self.report("a fence of another station is not asked for")
+            self.report("a fence of another station is not requested")

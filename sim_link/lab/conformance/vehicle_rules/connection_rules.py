@@ -33,7 +33,7 @@ class HeartbeatRules(VehicleProbe):
 
     @book.rule(SERVICE)
     def once_a_second(self) -> None:
-        """HEARTBEAT comes once a second."""
+        """HEARTBEAT is sent once a second."""
         self.run(PERIODS + 1.0)
         beats = [e for e in self.inbox if isinstance(e.message, mav.Heartbeat)]
         times = [e.time_s for e in beats if e.source == self.target]
@@ -44,7 +44,7 @@ class HeartbeatRules(VehicleProbe):
 
     @book.rule(f"{SERVICE}; MAVSDK system_impl.cpp is_autopilot")
     def comes_from_component_one(self) -> None:
-        """The autopilot is component 1: MAVSDK takes no other for one."""
+        """The autopilot is component 1: MAVSDK recognises no other."""
         require(self.target[1] == mavlink.MAV_COMP_ID_AUTOPILOT1, f"component {self.target[1]}")
 
     @book.rule(SERVICE)

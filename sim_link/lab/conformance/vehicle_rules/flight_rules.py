@@ -22,7 +22,7 @@ from sim_link.lab.conformance.vehicle_probe import VehicleProbe, require_unmoved
 from sim_link.lab.conformance.vehicle_rules.setpoint_rules import invalid_setpoints
 
 SERVICE = "MAVLink guide, Command Protocol"
-STRICT = "(stricter than the real one, which accepts it)"
+STRICT = "(stricter than real autopilots, which accept it)"
 LOCATION = f"{SERVICE} (location commands belong in COMMAND_INT); {mav.OBSERVED_ARDUPILOT}"
 REBOOTING = "MAVLink common, MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN"
 OFF_EARTH = (1_000_000_000, 85_000_000, 500.0)
@@ -84,7 +84,7 @@ class FlightRules(VehicleProbe):
 
     @book.rule("MAVLink common, MAV_CMD_NAV_LAND; PX4 COM_DISARM_LAND; ArduPilot DISARM_DELAY")
     def land_ends_disarmed_on_the_ground(self) -> None:
-        """NAV_LAND comes down, reports ON_GROUND and disarms by itself."""
+        """NAV_LAND descends, reports ON_GROUND and disarms by itself."""
         self.take_off(5.0)
         self.watch(mav.SysState, 0.2)
         self._require_landed_state(mavlink.MAV_LANDED_STATE_IN_AIR, " in the air")
@@ -332,7 +332,7 @@ class OffboardLossRules(SetpointClient, ParameterClient):
 
     @book.rule(mav.OBSERVED_PX4)
     def returning_stream_returns_offboard(self) -> None:
-        """OFFBOARD comes back without a command when the setpoints come back."""
+        """OFFBOARD resumes without a command when the setpoints return."""
         setpoint = self._lose_stream()
         self.run(2.5)
         require(not self.is_in("offboard"), "no failsafe")
@@ -342,12 +342,12 @@ class OffboardLossRules(SetpointClient, ParameterClient):
 
     @book.rule(mav.OBSERVED_PX4)
     def chosen_mode_ends_the_wish_for_offboard(self) -> None:
-        """A mode chosen during the failsafe stays when the setpoints come back."""
+        """A mode chosen during the failsafe remains when the setpoints return."""
         setpoint = self._lose_stream()
         self.run(2.0)
         self.require_mode("hold")
         self.fly(setpoint, 2.0)
-        require(self.is_in("hold"), "OFFBOARD came back against the operator's choice")
+        require(self.is_in("hold"), "OFFBOARD resumed against the operator's choice")
 
     @book.rule(OFFBOARD)
     def short_gap_is_no_loss(self) -> None:

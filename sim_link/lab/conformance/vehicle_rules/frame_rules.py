@@ -30,7 +30,7 @@ class FrameProbe(VehicleProbe):
     def is_answered(
         self, data: bytes, asked: int, within_s: float = ACK_S, *, has_junk: bool = False
     ) -> bool:
-        """Return True if a TIMESYNC with `ts1` = `asked` comes back after `data` was sent."""
+        """Return True if a TIMESYNC with `ts1` = `asked` is answered after `data` was sent."""
         mark = self.mark
         self.send_raw(data)
         if has_junk:
@@ -219,7 +219,7 @@ class FrameRules(FrameProbe):
 
     @book.rule(SERIALIZATION)
     def unknown_message_id_is_ignored(self) -> None:
-        """A frame with an unknown message id does no harm."""
+        """A frame with an unknown message id has no effect."""
         self.send_raw(mav.build_raw(UNKNOWN_ID, b"\x01\x02\x03\x04", 17, self.spec()))
         self.require_hearing()
 

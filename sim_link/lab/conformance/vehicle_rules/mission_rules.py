@@ -23,7 +23,7 @@ class MissionRules(PlanClient):
 
     @book.rule(SERVICE)
     def uploaded_mission_can_be_downloaded(self) -> None:
-        """A mission that was uploaded comes back item by item."""
+        """An uploaded mission can be downloaded item by item."""
         self.require_stored(self.prepare())
 
     @book.rule(SERVICE)
@@ -188,7 +188,7 @@ class MissionRules(PlanClient):
 
     @book.rule(f"{SERVICE}, Rally Points")
     def rally_points_survive(self) -> None:
-        """A rally point comes back where it was put."""
+        """A rally point is downloaded as it was uploaded."""
         (wanted,) = self.rally()
         self.require_upload([wanted], mav.RALLY)
         found = [item.lasting_fields for item in self.download(mav.RALLY)]

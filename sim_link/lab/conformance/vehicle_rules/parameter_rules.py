@@ -11,7 +11,7 @@ from sim_link.lab.conformance.protocol_clients import ANSWER_S, ParameterClient
 from sim_link.lab.conformance.rules import ARDUPILOT, CHANGES, FLIES, PX4, RuleBook, assume, require
 
 SERVICE = "MAVLink guide, Parameter Protocol"
-STRICT = f"{SERVICE} (stricter than the real one)"
+STRICT = f"{SERVICE} (stricter than real autopilots)"
 ERRORS = "MAVLink common, PARAM_ERROR; MAVSDK 4.1 reports it"
 NOBODYS = "NO_SUCH_PARAM"
 
@@ -33,7 +33,7 @@ class ParameterRules(ParameterClient):
 
     @book.rule(f"{SERVICE} (streams are paced)")
     def list_is_paced(self) -> None:
-        """The list does not come in one burst, and the heartbeat continues."""
+        """The list is not sent in one burst, and the heartbeat continues."""
         found = self.read_all()
         moments = len(set(self.times(mav.ParamValue, self.asked)))
         assume(len(found) >= 20, "too few parameters to judge")

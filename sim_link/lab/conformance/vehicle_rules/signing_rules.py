@@ -44,7 +44,7 @@ class ClockRules(VehicleProbe):
 
     @book.rule(TIME)
     def timesync_request_is_answered(self) -> None:
-        """TIMESYNC with tc1 = 0 comes back with ts1 mirrored and the vehicle's own time."""
+        """TIMESYNC with tc1 = 0 is answered with ts1 mirrored and the vehicle's own time."""
         began = self._synchronise(987_654_321).tc1
         require(began > 0, f"tc1 {began}")
         self.run(1.0)

@@ -45,7 +45,7 @@ class StreamRules(VehicleProbe):
         self.send(request(*self.target, group, rate_hz, int(rate_hz > 0)))
 
     def _require_rates(self, wanted_hz: float, slack_hz: float, *names: str) -> None:
-        """Require that each of the messages soon comes at a rate."""
+        """Require that each of the messages soon arrives at a rate."""
         self.run(1.0)
         counts = self._rates()
         for name in names:
@@ -63,10 +63,10 @@ class StreamRules(VehicleProbe):
 
     @book.rule(mav.OBSERVED_ARDUPILOT, flavours=ARDUPILOT)
     def nothing_flows_until_asked(self) -> None:
-        """By default HEARTBEAT and TIMESYNC flow, and nothing else until it is asked for."""
+        """By default only HEARTBEAT and TIMESYNC are streamed, others once requested."""
         self.run(2.0)
         for number in {e.message.get_msgId() for e in self.inbox if e.source == self.target}:
-            self.set_interval(number, 0.0)  # what an earlier client asked for goes back to default
+            self.set_interval(number, 0.0)  # restores what an earlier client requested
         counts = self._rates()
         extra = set(counts) - UNASKED_ON_ARDUPILOT
         most = max((counts[name] for name in extra), default=0)
@@ -119,7 +119,7 @@ class StreamRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, ALTITUDE, ODOMETRY, ESTIMATOR_STATUS; {mav.OBSERVED_PX4}", flavours=PX4)
     def further_messages_come_on_request(self) -> None:
-        """ALTITUDE, ODOMETRY and ESTIMATOR_STATUS come when they are asked for."""
+        """ALTITUDE, ODOMETRY and ESTIMATOR_STATUS are sent on request."""
         self.get_ready()
         self.request(mavlink.MAVLink_altitude_message)
         self.request(mavlink.MAVLink_odometry_message)
@@ -127,7 +127,7 @@ class StreamRules(VehicleProbe):
 
     @book.rule("ArduPilot EKF_STATUS_REPORT; MAVLink ardupilotmega", flavours=ARDUPILOT)
     def ekf_status_comes_on_request(self) -> None:
-        """EKF_STATUS_REPORT (193) comes when it is asked for."""
+        """EKF_STATUS_REPORT (193) is sent on request."""
         self.get_ready()
         mark = len(self.datagrams)
         self.require_result(mav.ACCEPTED, mav.REQUEST, 193.0)
@@ -277,7 +277,7 @@ class TelemetryRules(VehicleProbe):
 
     @book.rule(f"{COMMON}, HOME_POSITION (sent when it changes)", effect=CHANGES)
     def moved_home_is_sent_unasked(self) -> None:
-        """After DO_SET_HOME a HOME_POSITION with the new position comes without a request."""
+        """After DO_SET_HOME a HOME_POSITION with the new position is sent without a request."""
         home = self.home()
         self.set_interval(mav.HomePosition, -1.0)
         for latitude in (home.latitude + 450, home.latitude):

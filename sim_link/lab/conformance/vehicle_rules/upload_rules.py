@@ -186,7 +186,7 @@ class FenceRules(PlanClient):
     book = RuleBook("fences", CHANGES, begin=VehicleProbe.get_ready)
 
     def _require_fence_kept(self, wanted: list[MissionItem]) -> list[MissionItem]:
-        """Require that an uploaded fence comes back; return its items as downloaded."""
+        """Require that an uploaded fence can be downloaded; return its items."""
         self.require_upload(wanted, mav.FENCE)
         found = self.download(mav.FENCE)
         self.clear(mav.FENCE)
@@ -196,14 +196,14 @@ class FenceRules(PlanClient):
 
     @book.rule(f"{SERVICE}, Geofence")
     def fences_survive(self) -> None:
-        """A polygon and a circle come back with their vertex count and radius."""
+        """A polygon and a circle are downloaded with their vertex count and radius."""
         found = self._require_fence_kept(self.polygon() + self.circle())
         params = [item.params[0] for item in found]
         require(params == [4.0, 4.0, 4.0, 4.0, 500.0], f"param1 {params}")
 
     @book.rule(f"{SERVICE}, Geofence")
     def exclusions_survive(self) -> None:
-        """Areas to stay out of come back as such, next to one to stay in."""
+        """Exclusions are downloaded as such, next to an inclusion."""
         (inside,) = self.circle()
         (hole,) = self.circle(10.0)
         circle = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION

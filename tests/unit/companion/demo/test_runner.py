@@ -83,7 +83,7 @@ def test_a_scenario_that_there_is_not_is_reported_beside_those_that_there_are() 
 @pytest.mark.parametrize(
     ("late_s", "hint"),
     [
-        (1.2, "; this computer is too busy (a control tick came 1.2 s late): end other programs"),
+        (1.2, "; this computer is too busy (a control tick was 1.2 s late): end other programs"),
         (0.4, ""),
     ],
 )

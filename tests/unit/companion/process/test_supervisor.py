@@ -25,10 +25,10 @@ def test_words_arrive_at_a_path(tmp_path: Path) -> None:
     path = str(tmp_path / "notify")
     with manager(path) as listening:
         supervisor = Supervisor({"NOTIFY_SOCKET": path})
-        supervisor.say(READY)
+        supervisor.notify(READY)
         supervisor.status("following the plan\nR95 2.0 m " + "x" * 500)
-        supervisor.say(ALIVE)
-        supervisor.say(STOPPING)
+        supervisor.notify(ALIVE)
+        supervisor.notify(STOPPING)
         heard = [listening.recv(4096).decode() for _ in range(4)]
         supervisor.close()
     assert heard[0] == "READY=1"
@@ -42,7 +42,7 @@ def test_words_arrive_in_the_abstract_namespace() -> None:
     name = f"companion-test-{os.getpid()}"
     with manager(f"\0{name}") as listening:
         supervisor = Supervisor({"NOTIFY_SOCKET": f"@{name}"})
-        supervisor.say(READY)
+        supervisor.notify(READY)
         assert listening.recv(4096) == b"READY=1"
         supervisor.close()
 
@@ -51,18 +51,18 @@ def test_words_arrive_in_the_abstract_namespace() -> None:
 def test_without_a_manager_nothing_is_said(address: str) -> None:
     supervisor = Supervisor({"NOTIFY_SOCKET": address})
     assert not supervisor.is_there
-    supervisor.say(READY)
+    supervisor.notify(READY)
     supervisor.close()
     assert supervisor.failed == 0
 
 
 def test_a_manager_that_went_away_is_counted(tmp_path: Path) -> None:
     supervisor = Supervisor({"NOTIFY_SOCKET": str(tmp_path / "gone")})
-    supervisor.say(READY)
-    supervisor.say(ALIVE)
+    supervisor.notify(READY)
+    supervisor.notify(ALIVE)
     assert supervisor.failed == 2
     supervisor.close()
-    supervisor.say(ALIVE)
+    supervisor.notify(ALIVE)
     assert supervisor.failed == 2
 
 
@@ -71,7 +71,7 @@ def test_a_manager_that_does_not_read_costs_no_time() -> None:
     with manager(f"\0{name}"):
         supervisor = Supervisor({"NOTIFY_SOCKET": f"@{name}"})
         for _ in range(10_000):
-            supervisor.say(ALIVE)
+            supervisor.notify(ALIVE)
         assert supervisor.failed > 0
         supervisor.close()
 

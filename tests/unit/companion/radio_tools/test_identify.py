@@ -10,7 +10,14 @@ import pytest
 
 from companion.domain import RangingMeasurement
 from companion.mav.endpoint import Chunk
-from companion.radio_tools.identify import LISTEN_S, Attempt, Ear, Listener, attempts, identify
+from companion.radio_tools.identify import (
+    LISTEN_S,
+    Attempt,
+    Listener,
+    RadioListener,
+    attempts,
+    identify,
+)
 from companion.radios.decoder import radio_kind
 from sim_link.emulators.catalogue import make_emulator
 from sim_link.emulators.emulator import Answer, Emulator, Round
@@ -86,12 +93,12 @@ class Bench:
 
     def hear(self, attempt: Attempt, listener: Listener) -> None:
         began_s = self.now_s
-        ear = Ear(listener, attempt.share_s, attempt.most_s)
-        while not ear.is_finished:
+        listening = RadioListener(listener, attempt.share_s, attempt.most_s)
+        while not listening.is_finished:
             self.now_s += STEP_S
-            ear.handle_timer(self.now_s - began_s)
+            listening.handle_timer(self.now_s - began_s)
             if data := self._printed(attempt):
-                ear.receive(Chunk(0, data, is_datagram=False), self.now_s - began_s)
+                listening.receive(Chunk(0, data, is_datagram=False), self.now_s - began_s)
 
 
 def printed(format_: Format) -> bytes:
@@ -138,16 +145,16 @@ def test_a_radio_that_prints_powers_beside_its_ranges_is_named() -> None:
 
     def hear(attempt: Attempt, listener: Listener) -> None:
         nonlocal now_s
-        ear = Ear(listener, attempt.share_s, attempt.most_s)
-        while not ear.is_finished:
+        listening = RadioListener(listener, attempt.share_s, attempt.most_s)
+        while not listening.is_finished:
             now_s += STEP_S
-            ear.handle_timer(now_s)
+            listening.handle_timer(now_s)
             line = "I (9) wifi:state: run, rssi: -61\n"
             if now_s % 4.0 < STEP_S:
                 line = (
                     "I (9) ftm_station: Estimated RTT - 33 nSec, Estimated Distance - 5.07 meters\n"
                 )
-            ear.receive(Chunk(0, line.encode(), is_datagram=False), now_s)
+            listening.receive(Chunk(0, line.encode(), is_datagram=False), now_s)
 
     code, text = identify("/dev/ttyUSB0", hear=hear, clock=lambda: now_s)
 
@@ -168,11 +175,11 @@ def test_noise_ends_within_the_time_and_is_no_radio(letters: bytes, url: str) ->
 
     def hear(attempt: Attempt, listener: Listener) -> None:
         nonlocal now_s
-        began_s, ear = now_s, Ear(listener, attempt.share_s, attempt.most_s)
-        while not ear.is_finished:
+        began_s, listening = now_s, RadioListener(listener, attempt.share_s, attempt.most_s)
+        while not listening.is_finished:
             now_s += STEP_S
-            ear.handle_timer(now_s - began_s)
-            ear.receive(Chunk(0, noise(576), is_datagram=False), now_s - began_s)
+            listening.handle_timer(now_s - began_s)
+            listening.receive(Chunk(0, noise(576), is_datagram=False), now_s - began_s)
 
     code, text = identify(url, hear=hear, clock=lambda: now_s)
 
@@ -242,7 +249,9 @@ def test_the_speed_of_a_serial_port_is_tried_and_said() -> None:
 
 
 def test_what_is_no_radio_is_said_with_what_was_heard() -> None:
-    code, text = identify("udp:127.0.0.1:5005", hear=lambda _, ear: ear.feed(b"x" * 90, 0.0))
+    code, text = identify(
+        "udp:127.0.0.1:5005", hear=lambda _, listening: listening.feed(b"x" * 90, 0.0)
+    )
     assert (code, text.partition(" at ")[0]) == (1, "90 bytes")
     code, text = identify("udp:127.0.0.1:5005", hear=lambda *_: None)
     assert code == 1

@@ -146,7 +146,7 @@ def test_who_never_reads_it_again_is_found(flavour: FlavourName) -> None:
     fence = StationFence(half_side_m=100.0)  # so wide that no autopilot acts by it
     around = searched(flavour, maker(NeverReadsAgain), fence, policy="compare")
     found = {(v.invariant, v.what) for v in around.monitor.violations}
-    assert found == {("I1", "a fence of another station is not asked for")}
+    assert found == {("I1", "a fence of another station is not requested")}
 
 
 @pytest.mark.slow
