@@ -1,13 +1,12 @@
 """`companion replay`: the flying estimator, fed from a recorded ranging walk.
 
-A CSV file has a row per answer of an emitter, in any order, with the columns `t_s`, `agent_x_m`,
-`agent_y_m`, `target_id`, and at least one of `range_m`, `bearing_rad`, `elevation_rad` and
-`power_dbm` (an empty cell or NaN means "not measured"). x is east, y is north, a bearing is
-counter-clockwise from east. Optional are `agent_z_m` (the target's height is then estimated),
-`own_sigma_m` (standard deviation per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw
-that the bearings were turned by), and `target_x_m` and `target_y_m`, which only serve to compute
-the error of the estimate. Values for a whole walk may stand in the JSON object next to it
-(`walk.json` of `walk.csv`) under the same two names.
+A CSV file has a row per answer of an emitter, in any order, with `t_s`, `agent_x_m`, `agent_y_m`,
+and at least one of `range_m`, `bearing_rad`, `elevation_rad` and `power_dbm` (an empty cell or NaN
+means "not measured"). x is east, y is north, a bearing is counter-clockwise from east. Optional are
+`target_id` of several emitters, `agent_z_m` (the target's height is then estimated), `own_sigma_m`
+(standard deviation per axis of the agent's position), `own_yaw_sigma_rad` (of the yaw that the
+bearings were turned by), and `target_x_m` and `target_y_m`, the truth, for the error alone. The
+accuracies of a whole walk may stand in a JSON object next to it (`walk.json` of `walk.csv`).
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.rivals import Observability
 from companion.io.files import open_file, read_bytes
 
-REQUIRED = ("t_s", "agent_x_m", "agent_y_m", "target_id")
+REQUIRED = ("t_s", "agent_x_m", "agent_y_m")
 MEASURED = ("range_m", "bearing_rad", "elevation_rad", "power_dbm")
 COLUMNS = (
-    *(*REQUIRED, *MEASURED, "agent_z_m", "own_sigma_m", "own_yaw_sigma_rad"),
+    *(*REQUIRED, "target_id", *MEASURED, "agent_z_m", "own_sigma_m", "own_yaw_sigma_rad"),
     *("target_x_m", "target_y_m"),
 )
 UNITS = {"ft": ("m", "0.3048"), "feet": ("m", "0.3048"), "deg": ("rad", "pi / 180")}
@@ -255,7 +254,7 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
             reader = csv.DictReader(file, delimiter=separator)
             present = [name.strip() for name in reader.fieldnames or ()]
             _check_columns(present, f"{path}: line 1")
-            reader.fieldnames = present
+            reader.fieldnames, is_named = present, "target_id" in present
             numbers: dict[str, int] = {}
             rows = []
             for row in reader:
@@ -265,6 +264,7 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
                     cells.pop("own_sigma_m", None)
                 if any(cells.values()):
                     line = f"{path}: line {reader.line_num}"
+                    cells["target_id"] = cells["target_id"] if is_named else path.stem
                     rows.append(_walk_row(cells, line, numbers, stated))
             return sorted(rows, key=lambda row: row.measurement.measured_at_s)
     except OSError as error:
@@ -322,7 +322,7 @@ def _walk_row(
     target_id = row["target_id"]
     if not target_id:
         raise ConfigError(f"{line}: target_id is empty")
-    t_s, east, north = (_needed(row, name, line) for name in REQUIRED[:3])
+    t_s, east, north = (_needed(row, name, line) for name in REQUIRED)
     up = _number(row, "agent_z_m", line) or 0.0
     truth_east, truth_north = (_measured(row, f"target_{axis}_m", line) for axis in "xy")
     if not all(abs(metres) <= FARTHEST_M for metres in (east, north, up)):

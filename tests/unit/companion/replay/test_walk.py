@@ -166,6 +166,12 @@ def test_broken_file_names_the_line(tmp_path: Path, text: str, problem: str) -> 
         list(read_walk(path))
 
 
+def test_a_walk_about_one_emitter_needs_no_names(tmp_path: Path) -> None:
+    path = tmp_path / "cellar.csv"
+    path.write_text("t_s,agent_x_m,agent_y_m,range_m\n0,1,2,3\n,,,\n1,2,2,3\n")
+    assert [row.target_id for row in read_walk(path)] == ["cellar", "cellar"]
+
+
 @pytest.mark.parametrize(
     "text",
     [
