@@ -39,10 +39,10 @@ MIN_DBM = -114.0
 """Thermal noise in the bandwidth of Bluetooth, 1 MHz, the least of devices that have a MAC address;
 lower ones, -127 or -128, stand for no value."""
 _SETTING = (
-    r"(?:noise|background|interference|floor|thresh(?:old)?|limit|cut-?off|filter|sensitivity|cca"
-    r"|min(?:imum)?|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target"
+    r"(?<![^\W_])(?:rssi|rx|signal)?(?:noise|background|interference|floor|thresh(?:old)?|limit"
+    r"|cut-?off|filter|sensitivity|cca|min(?:imum)?|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target"
     r"|wanted|expected|ref(?:erence)?|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp"
-    r"|rem(?:ote)?)(?![^\W_])"
+    r"|rem(?:ote)?)(?:power|pwr|level|floor|rssi)?(?![^\W_])"
 )
 """Words that make the level after them one that was not received here: a setting, noise, or what a
 device transmits, or receives itself."""
@@ -127,7 +127,7 @@ class PowerScanDecoder(FormDecoder):
             rf"(?<![\w.,+-]){_DBM} ?dBm\b(?! ?{_SETTING})",
         )
     )
-    _LABEL = re.compile(rf"(?<![^\W_]){_SETTING}[^,;|)\]}}\t0-9]*$", re.IGNORECASE)
+    _LABEL = re.compile(rf"{_SETTING}[^,;|)\]}}\t0-9]*$", re.IGNORECASE)
     """Such a word between a level and what stands before it."""
     _ADDRESS = re.compile(
         rf"(?<![\w:-]){_MAC}{_ALONE}|(?i:(?<=mac\":\")|(?<=mac\": \"))[0-9A-Fa-f]{{12}}(?=\")"

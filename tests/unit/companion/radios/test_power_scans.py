@@ -176,6 +176,15 @@ def test_what_is_no_power_of_one_device_is_refused_by_a_reason(text: str, reason
         "default signal: -63",
         "remote rssi -70",
         "min -80 avg -63 max -50 dBm",
+        "TxPower: -12 dBm",
+        "TXPower -12 dBm",
+        "tx_power_level: -12 dBm",
+        "txpwr=-12dBm",
+        "measuredPower: -59 dBm",
+        "NoiseFloor: -95 dBm",
+        "noise_floor: -95 dBm",
+        "rssiThreshold: -80 dBm",
+        "minRssi: -80 dBm",
     ],
 )
 def test_a_setting_or_noise_beside_an_address_is_no_received_power(printed: str) -> None:
