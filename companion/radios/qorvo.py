@@ -1,8 +1,8 @@
 """Qorvo's ultra-wideband kits: the CLI of QM33 and DW3xxx, and the `JS` frames of PDoA kits.
 
 Sources: Qorvo's SDK developer manual and DWM3001CDK developer guide as users quote them, and their
-captures. No format has a checksum. Angles are those of pairs of antennas, so arcsines, with the
-device's own sign.
+captures; README of uwb-qorvo-tools, `run_fira_twr`. No format has a checksum. Angles are those of
+pairs of antennas, so arcsines, with the device's own sign.
 """
 
 from __future__ import annotations
@@ -39,6 +39,13 @@ FAILURES = {
 }
 
 
+TOOL_LINE = re.compile(
+    r" *(# Measurement [0-9]{1,3}|status|mac address|distance|AoA (?:azimuth|az\. FOM)"
+    r"|AoA elev(?:ation|\. FOM)|rssi): *(\S*) ?(\S*).*"
+)
+"""Key, value and unit of a line that Qorvo's `run_fira_twr` prints of a measurement."""
+
+
 class BlockResult(msgspec.Struct, frozen=True):
     """One device in a block of ranging, as firmware before 2024 prints it."""
 
@@ -62,7 +69,10 @@ BLOCKS = msgspec.json.Decoder(Block)
 
 
 class QorvoCliDecoder(FieldDecoder):
-    """Decoder of SESSION_INFO_NTF records, of two or more lines each, and of older JSON blocks."""
+    """Decoder of SESSION_INFO_NTF records, of two or more lines each, and of older JSON blocks.
+
+    It also reads the output of the SDK's tool `run_fira_twr`, a key on each line.
+    """
 
     longest_line = MAX_RECORD_BYTES
 
@@ -70,11 +80,14 @@ class QorvoCliDecoder(FieldDecoder):
         """Begin without a partial record."""
         super().begin()
         self._record = ""
+        self._tool: dict[str, tuple[str, str]] | None = None
 
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """Return the measurements of a record that a line ends or breaks off."""
         if found := BLOCK.search(line):
             return self._block(line[found.start() :])
+        if not self._record and (found := TOOL_LINE.fullmatch(line)):
+            return self._of_tool(line, *found.groups())
         readings: list[RadioReading] = []
         if self._record and not line.strip():
             return readings
@@ -89,6 +102,35 @@ class QorvoCliDecoder(FieldDecoder):
         if "}" in line or len(self._record) > MAX_RECORD_BYTES:
             readings += self._ended()
         return readings
+
+    def _of_tool(self, line: str, key: str, value: str, unit: str) -> list[RadioReading]:
+        """Return the measurement that a line ends; an angle without a merit is not measured."""
+        if key.startswith("#"):
+            self._tool = {}
+            return self.no_reading()
+        if self._tool is None:
+            return self.passed_over(line)
+        self._tool[key] = value, unit
+        if key != "rssi":
+            return []
+        given, self._tool = self._tool, None
+        address = given.get("mac address", ("", ""))[0].split(":")
+        if "." in address[0]:
+            address = address[0].split(".")[::-1]
+        status, (distance, of_length) = (
+            given.get("status", ("",))[0],
+            given.get("distance", ("", "")),
+        )
+        values = {
+            "status": "SUCCESS" if status == "Ok" else status,
+            f"distance[{of_length}]": distance,
+            "RSSI[dBm]": value,
+        }
+        for angle, merit, name in (("azimuth", "az.", "loc_az"), ("elevation", "elev.", "loc_el")):
+            if number(given.get(f"AoA {merit} FOM", ("",))[0]):
+                values[name] = given.get(f"AoA {angle}", ("",))[0]
+        reading = self._checked("0x" + "".join(address), values)
+        return [] if reading is None else [reading]
 
     def _block(self, text: str) -> list[RadioReading]:
         """Return the measurements of a block; without an angle all its angles are exactly 0."""

@@ -71,6 +71,57 @@ def test_a_record_without_end_is_broken_off_at_8_kib() -> None:
     assert readings == [RANGED]
 
 
+TOOL = """# Ranging Data:
+        session handle:     2
+        n of measurement:   2
+        # Measurement 1:
+            status:             Ok (0x0)
+            mac address:        00:01 hex
+            is nlos meas:       Unknown
+            distance:           62.0 cm
+            AoA azimuth:        -10.5 deg
+            AoA az. FOM:        92.0 %
+            AoA elevation:      0.0 deg
+            AoA elev. FOM:      0.0
+            AoA dest azimuth:   33.0 deg
+            AoA dest az. FOM:   50.0 %
+            slot in error:      0
+            rssi:               -0.0 dBm
+
+        # Measurement 2:
+            status:             RxTimeout (0x21)
+            mac address:        00:02 hex
+            distance:           65535.0 cm
+            rssi:               -0.0 dBm
+"""
+
+
+def test_qorvos_tool_prints_a_measurement_over_many_lines() -> None:
+    decoder = QorvoCliDecoder()
+    azimuth_rad = math.radians(-10.5)
+    first = RadioReading(1, range_m=0.62, azimuth_rad=azimuth_rad, frame=AngleFrame.ARRAY)
+
+    assert decoder.feed(TOOL.encode(), 0.0) == [first]
+    assert decoder.counts.refused == {"status is no success": 1}
+    older = TOOL.replace("00:01 hex", "01.00").replace("-0.0 dBm", "-60.5 dB")
+    (reading,) = QorvoCliDecoder().feed(older.encode(), 0.0)
+    assert (reading.emitter, reading.power_dbm) == (1, -60.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("            mac address:        00:01 hex\n", ""),
+        ("62.0 cm", "62.0 mm"),
+        ("62.0 cm", "65535.0 cm"),
+        ("        # Measurement 1:\n", ""),
+        ("            status:             Ok (0x0)\n", ""),
+    ],
+)
+def test_a_measurement_of_the_tool_that_is_not_whole_is_no_reading(old: str, new: str) -> None:
+    assert QorvoCliDecoder().feed(TOOL.replace(old, new).encode(), 0.0) == []
+
+
 def test_a_negative_distance_is_reported_as_it_is() -> None:
     (reading,) = QorvoCliDecoder().feed(TWO.replace(b"=245", b"=-75"), 0.0)
     assert reading.range_m == -0.75
