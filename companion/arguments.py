@@ -255,7 +255,7 @@ def _add_setup(commands: Commands) -> None:
         help="make this computer ready to fly: configuration, service, doctor, compiling",
         description="Ask what the vehicle has, or take it from the options; write configuration "
         "and service, compile ahead, run the doctor, and list what to set in the autopilot. "
-        "All is written or nothing. Exit code 1: written, but the doctor says do not fly.",
+        "Everything is written, or nothing. Exit code 1: written, but the doctor says do not fly.",
     )
     setup.add_argument("--autopilot", choices=AUTOPILOTS, dest="kind", help="the autopilot")
     text = f"link to the autopilot, for example {USUAL_LINK}"
@@ -283,8 +283,8 @@ def _add_tiles(commands: Commands) -> None:
     fetch = parts.add_parser(
         "fetch",
         help="get the tiles around a position from a server of your choice",
-        description="Get the tiles around a position from a server. You are "
-        "responsible for keeping its terms of use; many public servers forbid bulk downloads.",
+        description="Get the tiles around a position from a server. You are responsible for "
+        "complying with its terms of use; many public servers forbid bulk downloads.",
     )
     fetch.add_argument("url", metavar="URL", help="server's address with {z}, {x} and {y}")
     _option(fetch, "--around", "LAT,LON", "centre, degrees", required=True)

@@ -197,7 +197,7 @@ class PositionAccuracy:
         return self.horizontal_m * (GNSS_ACCURACY_FACTOR if is_optimistic else 1.0)
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """The horizontal accuracy as text."""
         return f"GNSS {self.horizontal_m:.2f} m{'' if self.is_reported else ', assumed'}"
 
@@ -211,7 +211,7 @@ def radii_text(
     """Return the text of both radii, the absolute one first, with the accuracy `own` between."""
     absolute, relative = f"{absolute_r95_m:.{decimals}f}", f"{r95_m:.{decimals}f}"
     text = f"R95 {absolute} m absolute, {relative} m relative"
-    return text if own is None else f"{text} ({own.words})"
+    return text if own is None else f"{text} ({own.text})"
 
 
 class EstimateState(Enum):

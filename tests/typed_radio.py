@@ -20,7 +20,7 @@ class Typed:
         endpoint.handle_timer(1.0)
         self.stage = endpoint.stages[0]
         self.lines = shown[-1]
-        self.words = RadioWatch(self.stage).status(1.0).words
+        self.words = RadioWatch(self.stage).status(1.0).text
 
     @property
     def newest(self) -> dict[int, RangingMeasurement]:

@@ -35,13 +35,13 @@ class Tunable:
     """True if the file's value is the maximum."""
     is_floor: bool = False
     """True if the file's value is the minimum."""
-    words: tuple[str, ...] = ()
+    choices: tuple[str, ...] = ()
     """The values of a choice, by number; empty for a real number."""
 
     @property
     def spec(self) -> TunableSpec:
         """The parameter as a ground station sees it."""
-        kind = ParamType.INT32 if self.words else ParamType.REAL32
+        kind = ParamType.INT32 if self.choices else ParamType.REAL32
         return TunableSpec(self.name, kind, self.when)
 
 
@@ -54,7 +54,7 @@ TUNABLES = (
     Tunable("CMP_CLIMB", "limits.climb_mps", is_ceiling=True),
     Tunable("CMP_FENCE_MARGIN", "limits.fence_margin_m", When.NEVER),
     Tunable(
-        "CMP_ON_FOUND", "mission.on_localised", When.DISARMED, words=("hold", "return", "land")
+        "CMP_ON_FOUND", "mission.on_localised", When.DISARMED, choices=("hold", "return", "land")
     ),
     Tunable("CMP_OVER_MAX", f"{_CROSSING}.overshoot_max_m"),
     Tunable("CMP_OVER_MIN", f"{_CROSSING}.overshoot_min_m"),
@@ -131,17 +131,17 @@ def _value(tunable: Tunable, config: CompanionConfig) -> float:
     value: Any = config
     for part in tunable.path.split("."):
         value = getattr(value, part)
-    return tunable.words.index(value) if tunable.words else float(value)
+    return tunable.choices.index(value) if tunable.choices else float(value)
 
 
 def _with_value(config: CompanionConfig, tunable: Tunable, value: float) -> CompanionConfig:
     """Return the configuration with one value changed; `ConfigError` if that breaks its rules."""
     plain: Any = value
-    if tunable.words:
-        if value not in range(len(tunable.words)):
-            names = ", ".join(f"{number} {word}" for number, word in enumerate(tunable.words))
+    if tunable.choices:
+        if value not in range(len(tunable.choices)):
+            names = ", ".join(f"{number} {word}" for number, word in enumerate(tunable.choices))
             raise ConfigError(f"{value:g} is none of {names}")
-        plain = tunable.words[int(value)]
+        plain = tunable.choices[int(value)]
     raw = msgspec.to_builtins(config)
     *sections, key = tunable.path.split(".")
     owner = raw

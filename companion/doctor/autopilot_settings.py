@@ -76,7 +76,7 @@ def check_fence(facts: AutopilotFacts, config: CompanionConfig) -> Iterator[Chec
         if policy in (FencePolicy.IGNORE, FencePolicy.USE):
             is_ours = policy is FencePolicy.IGNORE
             how = "the autopilot's is not checked" if is_ours else "the autopilot's own"
-        yield ok("fence", f"{fencing.words}; {how}")
+        yield ok("fence", f"{fencing.description}; {how}")
 
 
 def _fencing_in_flight(facts: AutopilotFacts, config: CompanionConfig) -> Fencing:

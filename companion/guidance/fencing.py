@@ -130,7 +130,7 @@ class Fencing:
         return self._origin is not None or not is_used
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Description of the fence."""
         fence = self.guard.limits.fence
         if fence is None:

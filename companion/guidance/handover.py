@@ -282,7 +282,7 @@ class Handover:
         elif fencing.note is not None:
             context.warn(fencing.note)
         elif fencing.is_ready:
-            context.announce(Severity.INFO, f"fence: {fencing.words}")
+            context.announce(Severity.INFO, f"fence: {fencing.description}")
 
     def hold_if_unconfirmed(self, finding: Finding, now_s: float) -> Finding:
         """Return HOLD instead of a hand-back while the mode is unconfirmed: a pilot may fly."""

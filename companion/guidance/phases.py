@@ -63,7 +63,7 @@ class Phase(Enum):
     __hash__ = object.__hash__  # that of Enum is written in Python, and phases are looked up often
 
 
-PHASE_WORDS = {
+PHASE_NAMES = {
     Phase.WAITING: "waiting for the autopilot",
     Phase.STANDBY: "ready: switch the mode to hand over control",
     Phase.LAUNCHING: "launching",

@@ -22,7 +22,7 @@ from typing import TypeVar
 from companion.domain import Autopilot, EstimateState, TargetEstimate
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.commands import Announce, Severity
-from companion.guidance.phases import PHASE_WORDS
+from companion.guidance.phases import PHASE_NAMES
 from companion.guidance.session import GuidanceSession
 from companion.link import outbound
 from companion.link.outbound import time_boot_ms
@@ -66,7 +66,7 @@ class Presence:
         """Announce a change of phase that had no text, and send the reports that are due."""
         phase = self._session.authority.phase
         if phase is not self.phase and not has_text:
-            words = PHASE_WORDS.get(phase, phase.value)
+            words = PHASE_NAMES.get(phase, phase.value)
             self._outlet.announce(Announce(Severity.INFO, words), now_s)
         self.phase = phase
         if now_s < self.next_s:

@@ -285,7 +285,7 @@ class RadioStatus:
     """Description of input that is not of its format."""
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """State of the radio as text."""
         if self.silent_s is None:
             return "not heard"

@@ -138,7 +138,7 @@ _FAILURE = (
     r"(?:time[_ -]?(?:d[_ ])?out|invalid|not[_ ]valid|fail(?:ed|ure)?|error|lost|stale"
     r"|no[_ ](?:lock|fix|signal|response|answer)|out[_ ]of[_ ]range)"
 )
-_SAYS_INVALID = re.compile(
+_INVALID_STATUS = re.compile(
     rf"\b(?:status|state|result|error|err)[\"']?\s*[:=]\s*[\"']?(?:\w+[_ -])?{_FAILURE}\b"
     r"|\b(?:is_?)?(?:valid|success)[\"']?\s*[:=]\s*[\"']?(?:0|false|no)(?![\w.])"
     rf"|(?:^|[,;\t|(\[])\s*[\"']?(?:[a-z]+_)?{_FAILURE}[\"']?\s*(?:[,;\t|)\]]|$)"
@@ -204,7 +204,7 @@ def emitter_name(text: str) -> str | int | None:
     return int(text) if text.isascii() and text.isdecimal() and len(text) < 6 else text[:64]
 
 
-def complain_of(names: list[str]) -> str | None:
+def problem_of(names: list[str]) -> str | None:
     """Return the error in names that a user has given, or None."""
     for name in names:
         if name in POWERS:
@@ -235,12 +235,12 @@ def is_overflow_m(range_m: float) -> bool:
     )
 
 
-def says_invalid(line: str) -> bool:
+def is_marked_invalid(line: str) -> bool:
     """Return True if a line's own status marks its values as invalid."""
-    return _SAYS_INVALID.search(line) is not None
+    return _INVALID_STATUS.search(line) is not None
 
 
-def complain_of_spans(found: re.Match[str]) -> str | None:
+def problem_of_spans(found: re.Match[str]) -> str | None:
     """Return the error in the positions of a match's groups in their line, or None.
 
     An omitted sign, a number cut in two where the expression ends, or a different unit before or
@@ -250,9 +250,9 @@ def complain_of_spans(found: re.Match[str]) -> str | None:
         if name.removesuffix(HEX) not in NUMBERS or not text or not text.strip():
             continue
         problem = (
-            _complain_of_before(found, name)
-            or _complain_of_cut(found, name)
-            or _complain_of_behind(found, name)
+            _problem_before(found, name)
+            or _problem_of_cut(found, name)
+            or _problem_behind(found, name)
         )
         if problem is not None:
             return f"{name} {problem}"
@@ -265,7 +265,7 @@ def _unit_in(name: str) -> str:
     return plain.rpartition("_")[2] if "_" in plain else ""
 
 
-def _complain_of_before(found: re.Match[str], name: str) -> str | None:
+def _problem_before(found: re.Match[str], name: str) -> str | None:
     """Return the error indicated by the characters before a number, or None."""
     before, unit = found.string[: found.start(name)], _unit_in(name)
     if _SIGN_BEFORE.search(before) and found[name][0] not in "+-":
@@ -277,7 +277,7 @@ def _complain_of_before(found: re.Match[str], name: str) -> str | None:
     return f"stands behind `{word}`" if word != unit else None
 
 
-def _complain_of_cut(found: re.Match[str], name: str) -> str | None:
+def _problem_of_cut(found: re.Match[str], name: str) -> str | None:
     """Return the error of an expression that ends within a number or quantity, or None."""
     line, text, is_hex = found.string, found[name], name.endswith(HEX)
     start, end = found.span(name)
@@ -295,7 +295,7 @@ def _complain_of_cut(found: re.Match[str], name: str) -> str | None:
     return "goes on in a smaller unit" if _COMPOUND_BEHIND.match(line, end) else None
 
 
-def _complain_of_behind(found: re.Match[str], name: str) -> str | None:
+def _problem_behind(found: re.Match[str], name: str) -> str | None:
     """Return the error indicated by the side or unit after a number, or None."""
     line, end, unit = found.string, found.end(name), _unit_in(name)
     if name in _ANGLES_BY_UNIT and _SIDE_BEHIND.match(line, end):
@@ -370,7 +370,7 @@ class FieldDecoder(LineDecoder):
             if unit.attribute == "range_m" and is_overflow(value):
                 return self.refused(f"{name} is {value:.0f}: all bits set, no range")
             values[unit.attribute] = value * unit.factor
-        problem = _complain_of_values(values)
+        problem = _problem_of_values(values)
         if problem is None and _drop_zeros(values, is_dbm="power_dbm" in texts):
             problem = ZERO_POWER
         if problem is not None:
@@ -394,7 +394,7 @@ def _drop_zeros(values: dict[str, float], *, is_dbm: bool) -> bool:
     return not _MEASURED & set(values)
 
 
-def _complain_of_values(values: Mapping[str, float]) -> str | None:
+def _problem_of_values(values: Mapping[str, float]) -> str | None:
     if not _MEASURED & set(values):
         return "neither range, angle nor power"
     if any(values[name] < 0.0 for name in _SIGMAS & set(values)):

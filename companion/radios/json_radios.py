@@ -33,7 +33,7 @@ from companion.radios.decoder import (
     RadioReading,
     is_power_only,
 )
-from companion.radios.fields import NOT_VALID, says_invalid
+from companion.radios.fields import NOT_VALID, is_marked_invalid
 
 PER_S = 1e6
 JOIN_REQUEST, DATA_UP = 0, (2, 4)
@@ -317,7 +317,7 @@ class NdjsonDecoder(LineDecoder):
         foreign = _foreign_key(line)
         if foreign is not None:
             return f"key `{foreign}` is of another format: companion radio list"
-        if says_invalid(text):
+        if is_marked_invalid(text):
             return NOT_VALID
         identity = None if '"emitter_id"' in text else IDENTITY.search(text)
         if identity is not None:

@@ -109,7 +109,7 @@ class _Channels:
             is_same = result.checksum == before.checksum
         return now_s - before.heard_s if is_same else None
 
-    def complain_of(self, result: Result, now_s: float) -> str | None:
+    def problem_of(self, result: Result, now_s: float) -> str | None:
         """Return the reason not to use a new result of a frequency, or None."""
         name, time_ms = result.name, result.time_ms
         channel = self._next(self._seen.pop(name, None), time_ms, now_s)
@@ -162,7 +162,7 @@ class KrakenDecoder(RadioDecoder):
                 return []
             problem: str | None = "page does not change: no transmission"
             if unchanged_s is None:
-                problem = self._complain_of(result, now_s)
+                problem = self._problem_of(result, now_s)
         else:
             problem = result
         if problem is not None:
@@ -186,7 +186,7 @@ class KrakenDecoder(RadioDecoder):
             best = BEST_CONFIDENCE if result.checksum is None else 1.0
         return result.confidence / best
 
-    def _complain_of(self, result: Result, now_s: float) -> str | None:
+    def _problem_of(self, result: Result, now_s: float) -> str | None:
         if not FIRST_EPOCH_MS <= result.time_ms <= LAST_EPOCH_MS:
             return "time is none"
         if not 0.0 <= result.latency_ms <= LONGEST_CPI_MS:
@@ -195,7 +195,7 @@ class KrakenDecoder(RadioDecoder):
             return "bearing is out of bounds"
         if not MIN_HZ < result.frequency_hz < 1e11:
             return "frequency is out of bounds"
-        tuned = self._channels.complain_of(result, now_s)
+        tuned = self._channels.problem_of(result, now_s)
         if tuned is not None:
             return tuned
         if result.is_overdriven:

@@ -21,7 +21,7 @@ from typing import ClassVar
 from companion.domain import Params
 from companion.errors import ConfigError
 from companion.radios.decoder import RadioReading
-from companion.radios.fields import FieldDecoder, complain_of_spans
+from companion.radios.fields import FieldDecoder, problem_of_spans
 from companion.radios.wifi_ftm import MAC
 
 
@@ -64,7 +64,7 @@ class FormDecoder(FieldDecoder):
         return self.passed_over(line)
 
     def _read(self, match: re.Match[str]) -> list[RadioReading]:
-        problem = complain_of_spans(match)
+        problem = problem_of_spans(match)
         return self.refused(problem) if problem else self.read_match(match.groupdict())
 
     def read_match(self, fields: Mapping[str, str | None]) -> list[RadioReading]:

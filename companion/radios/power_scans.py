@@ -21,7 +21,7 @@ from struct import Struct
 
 from companion.domain import Params
 from companion.radios.decoder import FrameDecoder, RadioReading, is_power_only
-from companion.radios.fields import complain_of_spans, number
+from companion.radios.fields import number, problem_of_spans
 from companion.radios.line_forms import FormDecoder, form
 
 _MAC = "[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
@@ -188,7 +188,7 @@ class PowerScanDecoder(FormDecoder):
             return self.refused(f"several {what} in a line: read it by `lines`")
         if not levels:
             return self.refused(A_SETTING if found else NO_POWER)
-        problem = next(filter(None, map(complain_of_spans, received)), None)
+        problem = next(filter(None, map(problem_of_spans, received)), None)
         if problem is not None:
             return self.refused(problem)
         return self._of_device({"emitter": next(iter(addresses), None), "power_dbm": levels.pop()})

@@ -27,12 +27,12 @@ from companion.radios.fields import (
     NOT_VALID,
     FieldDecoder,
     columns,
-    complain_of,
-    complain_of_spans,
     dbm,
+    is_marked_invalid,
     is_overflow,
     number,
-    says_invalid,
+    problem_of,
+    problem_of_spans,
 )
 
 SLOTS = 8
@@ -290,9 +290,9 @@ class LinesDecoder(FieldDecoder):
         matches = [match for match in self._pattern.finditer(line) if match[0]]
         if not matches:
             return self.passed_over(line)
-        problem = next(filter(None, map(complain_of_spans, matches)), None)
+        problem = next(filter(None, map(problem_of_spans, matches)), None)
         emitters = {match.groupdict().get("emitter") for match in matches}
-        if problem is None and says_invalid(line):
+        if problem is None and is_marked_invalid(line):
             problem = NOT_VALID
         if problem is None and len(emitters) < len(matches):
             problem = "several matches of one emitter in a line: make the expression longer"
@@ -318,7 +318,7 @@ def _compiled(pattern: str) -> re.Pattern[str]:
         compiled = re.compile(pattern)
     except (re.error, RecursionError, OverflowError) as error:
         raise ConfigError(f"lines: pattern: {error}") from None
-    problem = complain_of(list(compiled.groupindex))
+    problem = problem_of(list(compiled.groupindex))
     if problem is not None:
         raise ConfigError(f"lines: pattern: {problem}")
     return compiled

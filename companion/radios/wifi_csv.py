@@ -28,14 +28,14 @@ from companion.radios.fields import (
     SKIPPED,
     FieldDecoder,
     columns,
-    complain_of,
     dbm,
+    is_marked_invalid,
     number,
+    problem_of,
     ratio,
-    says_invalid,
     whole,
 )
-from companion.radios.wifi_ftm import MAC, complain_of_unsigned
+from companion.radios.wifi_ftm import MAC, problem_of_unsigned
 
 LENGTHS = ("mm", "cm", "m", "km", "ft")
 SUCCESSES = ("", "0", "success", "status_success", "ok")
@@ -70,7 +70,7 @@ class FtmCsvDecoder(FieldDecoder):
         super().__init__(options)
         self._names = list(self.options.columns)
         self.has_stamps = self.options.delimiter == " "
-        problem = complain_of(self._names) if self._names else None
+        problem = problem_of(self._names) if self._names else None
         if problem is not None:
             raise ConfigError(f"ftm_csv: columns: {problem}")
 
@@ -105,7 +105,7 @@ class FtmCsvDecoder(FieldDecoder):
         if numbers and not any(n.endswith(HEX) or number(named[n]) is not None for n in numbers):
             self._problem = _contradiction(named) or self._problem
             return self.passed_over(line)
-        if self._problem is not None or says_invalid(line):
+        if self._problem is not None or is_marked_invalid(line):
             return self.refused(self._problem or NOT_VALID)
         if named.get("emitter") == "":
             return self.refused(NO_NAME)
@@ -114,7 +114,7 @@ class FtmCsvDecoder(FieldDecoder):
     def _unsigned(self, texts: Mapping[str, str], factor: float = 1.0) -> list[RadioReading]:
         (name,) = set(texts) - {"emitter", "power_dbm"}
         value = number(texts[name])
-        problem = complain_of_unsigned(None if value is None else value * factor)
+        problem = problem_of_unsigned(None if value is None else value * factor)
         return self.refused(problem) if problem is not None else self.read_fields(texts)
 
     def _bars(self, distance: str, rtt_ns: str, power: str) -> list[RadioReading]:
@@ -324,14 +324,14 @@ class AndroidRttDecoder(FieldDecoder):
         if len(cells) != header.cells:
             return self.refused(f"row of {len(cells)} cells below a header of {header.cells}")
         row = {name: cells[index] for name, (index, _) in header.columns.items()}
-        problem = header.problem or self._complain_of(row)
+        problem = header.problem or self._problem_of(row)
         return self.refused(problem) if problem is not None else self._read(header, row, cells)
 
     def _printed(self, text: str) -> list[RadioReading]:
         """Return the reading of one result as the class prints itself."""
         values = dict(self._VALUE.findall(text))
         successful = values.get("numSuccessfulMeasurements", "")
-        problem = self._complain_of(
+        problem = self._problem_of(
             {
                 "status": values.get("status", ""),
                 "successful": successful,
@@ -365,7 +365,7 @@ class AndroidRttDecoder(FieldDecoder):
         return True
 
     @staticmethod
-    def _complain_of(row: Mapping[str, str]) -> str | None:
+    def _problem_of(row: Mapping[str, str]) -> str | None:
         status = row.get("status", "").lower()
         if status == "2":
             return "one-sided: the access point has no 802.11mc"

@@ -100,7 +100,7 @@ class Esp32FtmDecoder(FieldDecoder):
     def _result(self, metres: str, time_s: float | None) -> list[RadioReading]:
         range_m, quality, power_dbm = number(metres), self._quality, self._power_dbm
         self._quality = self._power_dbm = None
-        problem = complain_of_unsigned(range_m)
+        problem = problem_of_unsigned(range_m)
         if problem is not None:
             return self.refused(problem)
         peer = self._peer if self.options.emitter_from_log else None
@@ -115,7 +115,7 @@ class Esp32FtmDecoder(FieldDecoder):
         )
 
 
-def complain_of_unsigned(range_m: float | None) -> str | None:
+def problem_of_unsigned(range_m: float | None) -> str | None:
     """Return the reason to refuse a range, or None; negative ones print as 0 or near 2^32 cm."""
     if range_m is None or range_m > LONGEST_M:
         return "distance is out of bounds"

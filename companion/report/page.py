@@ -59,7 +59,7 @@ MAX_EVENTS = 500
 QUICK_BYTES = 3_000_000
 """Largest event log, a quarter of an hour, whose report takes well under a second."""
 
-LINK_WORDS = {
+COUNTER_NAMES = {
     "loss": "share of frames lost",
     "received": "frames received",
     "lost": "frames lost",
@@ -396,7 +396,7 @@ def budget_of(result: Line) -> tuple[str, list[tuple[str, str]]]:
 
 def _rows(line: Line) -> list[tuple[str, str]]:
     return [
-        (LINK_WORDS.get(name, name.replace("_", " ")), _value_text(value))
+        (COUNTER_NAMES.get(name, name.replace("_", " ")), _value_text(value))
         for name, value in line.items()
         if name not in ("t_s", "kind", "links", "number", "name")
     ]

@@ -26,7 +26,7 @@ from companion.guidance.events import OperatorCommand
 from companion.guidance.fencing import Fencing
 from companion.guidance.handover import GRANT_HOW
 from companion.guidance.messages import radii_of
-from companion.guidance.phases import HAS_VEHICLE, PHASE_WORDS, Phase
+from companion.guidance.phases import HAS_VEHICLE, PHASE_NAMES, Phase
 from companion.guidance.readiness import missing_inputs
 from companion.guidance.session import EmitterStatus, GuidanceSession, GuidanceStatus
 from companion.link.endpoint import CompanionEndpoint
@@ -117,7 +117,7 @@ def _after_yielding(endpoint: CompanionEndpoint, guided: str) -> str:
 
 Json = dict[str, object]
 
-ESTIMATE_WORDS = {
+STATE_NAMES = {
     EstimateState.SEARCHING: "searching",
     EstimateState.AMBIGUOUS: "two positions are possible",
     EstimateState.LOCALISED: "localised",
@@ -142,7 +142,7 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
     status = session.status(now_s)
     vehicle = session.vehicle
     origin, waypoint = vehicle.origin, status.waypoint
-    words = PHASE_WORDS.get(status.phase, status.phase.value)
+    words = PHASE_NAMES.get(status.phase, status.phase.value)
     is_localised = status.estimate is not None and status.estimate.state is EstimateState.LOCALISED
     return {
         "t_s": now_s,
@@ -165,8 +165,8 @@ def picture_of(endpoint: CompanionEndpoint, now_s: float) -> Json:
         "distance_m": status.distance_m,
         "estimate": None if status.estimate is None else _estimate(status.estimate),
         "emitters": [_emitter(emitter) for emitter in status.emitters],
-        "searched": searched_words(session),
-        "radios": radio_words(endpoint, now_s),
+        "searched": searched_text(session),
+        "radios": radio_texts(endpoint, now_s),
         "waypoint": None if waypoint is None else _waypoint(waypoint),
         "setpoint": status.setpoint_enu_m,
         "guard": status.guard,
@@ -186,7 +186,7 @@ def _fence(fencing: Fencing) -> Json:
         "polygon": None if fence is None else fence.polygon_enu_m,
         "also_inside": () if fence is None else fence.also_inside_enu_m,
         "keep_out": () if fence is None else fence.keep_out_enu_m,
-        "words": fencing.words,
+        "text": fencing.description,
         "refusal": fencing.refusal,
         "missing": fencing.missing,
     }
@@ -234,7 +234,7 @@ def _met_on_ground(sensor_enu_m: PositionEnu, ray: PositionEnu, height_m: float)
 
 def _words(estimate: TargetEstimate) -> str:
     """Return the text of the state, and how to resolve an ambiguity."""
-    words, aside_m = ESTIMATE_WORDS[estimate.state], aside_of_m(estimate)
+    words, aside_m = STATE_NAMES[estimate.state], aside_of_m(estimate)
     return words if aside_m is None else f"{words}: go {aside_m:.0f} m to the side"
 
 
@@ -242,12 +242,12 @@ def _estimate(estimate: TargetEstimate) -> Json:
     ellipse = ellipse_95(estimate.position_enu_m, estimate.covariance_m2)
     return {
         "state": estimate.state.value,
-        "words": _words(estimate),
+        "text": _words(estimate),
         "position": estimate.position_enu_m,
         "ellipse": ellipse.corners_enu_m(),
         "r95_m": estimate.r95_m,
         "absolute_r95_m": estimate.absolute_r95_m,
-        "own_words": estimate.own.words,
+        "own_text": estimate.own.text,
         "alternative": estimate.alternative_enu_m,
         "range_offset_m": estimate.range_offset_m,
         "bearing_offset_rad": estimate.bearing_offset_rad,
@@ -273,10 +273,10 @@ def _emitter(emitter: EmitterStatus) -> Json:
     }
 
 
-def radio_words(endpoint: CompanionEndpoint, now_s: float) -> tuple[tuple[str, str], ...]:
+def radio_texts(endpoint: CompanionEndpoint, now_s: float) -> tuple[tuple[str, str], ...]:
     """Return each radio's name and state."""
     found = [radio.status(now_s) for radio in endpoint.radios]
-    return tuple((status.name, status.words) for status in found)
+    return tuple((status.name, status.text) for status in found)
 
 
 def _waypoint(waypoint: Waypoint) -> Json:
@@ -319,7 +319,7 @@ class FlightSnapshot:
     """Searched area until now; None once counting has ended, or without a detection model."""
 
 
-def searched_words(session: GuidanceSession) -> str | None:
+def searched_text(session: GuidanceSession) -> str | None:
     """Return the text of the searched share of the area; None unless it is counted."""
     searching = session.searching
     if not searching.is_counting or not searching.is_worth_reporting:
@@ -343,9 +343,9 @@ def flight_snapshot(
         stop_radius_m=endpoint.session.params.stop_radius_m,
         ages_s=ages_s(endpoint, now_s),
         time_to_go_s=time_to_go_s,
-        radios=radio_words(endpoint, now_s),
+        radios=radio_texts(endpoint, now_s),
         next_step=next_step(endpoint, status),
-        searched=searched_words(endpoint.session),
+        searched=searched_text(endpoint.session),
     )
 
 

@@ -155,7 +155,7 @@ def _estimate_rows(status: GuidanceStatus, stop_radius_m: float) -> list[tuple[s
         f"bearing {math.degrees(estimate.bearing_offset_rad):+.2f} deg"
     )
     absolute = Text(f"{estimate.absolute_r95_m:6.2f} m  ", "bold")
-    absolute.append(f"absolute ({estimate.own.words})", "default")
+    absolute.append(f"absolute ({estimate.own.text})", "default")
     return [
         ("estimate", where),
         ("R95", absolute),

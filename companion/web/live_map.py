@@ -315,7 +315,7 @@ class ReplayedFlight:
     """A past flight that is replayed."""
 
     began_unix_s: float
-    words: str
+    banner: str
     """Banner of the page, so that a replay is not mistaken for a live flight."""
 
 
@@ -338,8 +338,8 @@ class WebView(Collector):
         self._settings = settings
         self._time_to_go = TimeToGo()
         self._replayed = replayed
-        words = None if replayed is None else replayed.words
-        scene = {**scene_of(config), "truth": truth_enu_m, "replay": words}
+        banner = None if replayed is None else replayed.banner
+        scene = {**scene_of(config), "truth": truth_enu_m, "replay": banner}
         self.process = WebProcess(settings, scene)
 
     @property

@@ -115,7 +115,7 @@ class Numbers:
         self._values["fence"].style(f"color: {colour}")
         estimate = picture["estimate"]
         if estimate is not None:
-            self._state.set_text(str(estimate["words"]))
+            self._state.set_text(str(estimate["text"]))
             self._r95.set_text(f"R95 {estimate['absolute_r95_m']:.2f} m")
         guard = "; ".join(picture["guard"])
         self._guard.set_text(f"guard: {guard}" if guard else "")
@@ -128,7 +128,7 @@ def _of_estimate(picture: Json) -> dict[str, str]:
     east, north = estimate["position"]
     return {
         **_on_earth(estimate, picture.get("frame")),
-        "relative": f"{estimate['r95_m']:.2f} m to vehicle ({estimate['own_words']})",
+        "relative": f"{estimate['r95_m']:.2f} m to vehicle ({estimate['own_text']})",
         "local": f"{east:.1f} m east, {north:.1f} m north",
         "offsets": f"range {estimate['range_offset_m']:+.2f} m, "
         f"bearing {math.degrees(estimate['bearing_offset_rad']):+.1f}°",
@@ -182,7 +182,7 @@ def _of_vehicle(picture: Json) -> dict[str, str]:
 
 def _of_plan(picture: Json) -> dict[str, str]:
     fence = picture["fence"]
-    values = {"fence": fence["words"]}
+    values = {"fence": fence["text"]}
     if fence["refusal"] is not None:
         values["fence"] = fence["refusal"]
     elif fence["missing"]:

@@ -126,7 +126,7 @@ def test_views_show_the_fence_that_the_guard_keeps_and_why_there_is_none() -> No
     loop.run_until(lambda: loop.phase is Phase.NORMAL, 60.0)
     fence = shown_fence(loop)
     assert (fence["refusal"], fence["missing"]) == (None, [])
-    assert fence["words"] == "4 corners, 1 keep-outs, margin 3.6 m"
+    assert fence["text"] == "4 corners, 1 keep-outs, margin 3.6 m"
     assert [len(corners) for corners in fence["keep_out"]] == [4]
     for shown, true in zip(sorted(fence["polygon"]), sorted(SITE), strict=True):
         assert math.dist(shown, true) < 0.1

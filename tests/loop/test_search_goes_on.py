@@ -17,7 +17,7 @@ from companion.guidance.emitters import QueueParams
 from companion.guidance.phases import Phase
 from companion.search.detection_model import DetectionModel
 from companion.search.searched_flight import SearchAreaParams, statement
-from companion.view.snapshot import searched_words
+from companion.view.snapshot import searched_text
 from sim_link.autopilot.scenario import AutopilotParams, FlavourName, PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop
@@ -89,7 +89,7 @@ def test_what_was_searched_for_others_is_in_the_record_and_the_known_one_keeps_i
     assert not session.has_found_all  # the memory of this mission is still needed
     accepted, reported_s = session.context.emitters.accepted, loop.now_s
     loop.run(1.0)
-    assert (searched_words(session) or "").startswith("POS ")
+    assert (searched_text(session) or "").startswith("POS ")
     loop.run_until(lambda: session.is_search_over, 400.0)
     assert loop.now_s - reported_s > 20.0
     assert session.context.emitters.accepted > accepted

@@ -20,7 +20,7 @@ from companion.mav.dialect import MAVLink_target_estimate_message, mavlink
 from companion.run import is_handed_over
 from companion.search.detection_model import DetectionModel, DetectionParams
 from companion.search.searched_flight import SearchAreaParams
-from companion.view.snapshot import searched_words
+from companion.view.snapshot import searched_text
 from sim_link.autopilot.scenario import PayloadParams, Scenario
 from sim_link.world.environment import EmitterParams
 from tests.loop.loop_helpers import Loop, flown_once
@@ -191,7 +191,7 @@ def test_a_view_shows_how_much_is_searched_and_changes_nothing_in_the_flight() -
     for loop in (watched, alone):
         for _ in range(300):
             if loop is watched:
-                shown.add(searched_words(loop.companion.session))
+                shown.add(searched_text(loop.companion.session))
             loop.run(0.2)
     assert None in shown  # on the ground
     assert any(text is not None and text.startswith("POS ") for text in shown)

@@ -226,7 +226,7 @@ class ExecLink(Link):
         self._pause_s = BACKOFF_MIN_S
         self._has_said = False
         self._started_s = 0.0
-        self._complaint = ""
+        self._error_text = ""
         self._is_closed = False
 
     @property
@@ -251,7 +251,7 @@ class ExecLink(Link):
 
     def _start(self) -> None:
         self._timer = None
-        self._has_said, self._complaint = False, ""
+        self._has_said, self._error_text = False, ""
         self._started_s = asyncio.get_running_loop().time()
         try:
             process = subprocess.Popen(
@@ -262,14 +262,14 @@ class ExecLink(Link):
                 start_new_session=True,
             )
         except OSError as error:
-            self._complaint = error.strerror or str(error)
+            self._error_text = error.strerror or str(error)
             self._end()
             return
         threading.Thread(target=process.wait, name="exec", daemon=True).start()
         self._process = process
         self._streams = [
             self._stream(process.stdout, self._take, self._look_for_end),
-            self._stream(process.stderr, self._complain, lambda _: None),
+            self._stream(process.stderr, self._keep_error, lambda _: None),
         ]
 
     def _stream(self, pipe: IO[bytes] | None, *callbacks: object) -> ByteStream:
@@ -288,11 +288,11 @@ class ExecLink(Link):
         self._pause_s = BACKOFF_MIN_S
         self._note_back()
 
-    def _complain(self, pieces: list[bytes]) -> None:
+    def _keep_error(self, pieces: list[bytes]) -> None:
         lines = b"".join(pieces)[-4096:].decode(errors="replace").split("\n")
         said = [line.strip() for line in lines if line.strip()]
         if said:
-            self._complaint = "".join(c for c in said[-1] if c.isprintable())[:200]
+            self._error_text = "".join(c for c in said[-1] if c.isprintable())[:200]
 
     def _look_for_end(self, reason: str) -> None:
         """Handle the end of its output; a moment later its exit code is known."""
@@ -309,7 +309,7 @@ class ExecLink(Link):
         elif not self._is_lost:
             self._is_lost = True
             words = f"ended with {code}" if code is not None else "ended"
-            reason = f"{words}: {self._complaint}" if self._complaint else words
+            reason = f"{words}: {self._error_text}" if self._error_text else words
             self.counters.last_error = reason
             logger.warning("%s: lost (%s); running it again", self.name, reason)
         if self.signals_loss:

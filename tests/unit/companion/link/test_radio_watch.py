@@ -89,8 +89,8 @@ def test_the_rate_is_that_of_the_last_seconds() -> None:
             measured(watch.stage, replace(READING, range_m=1.0 + tick), now_s=now_s)
         watch.tick(now_s)
     assert 9.0 <= watch.status(10.0).rate_hz <= 11.0
-    assert watch.status(10.0).words == "10 measurements/s"
-    assert watch.status(15.0).words.endswith("silent for 5 s")
+    assert watch.status(10.0).text == "10 measurements/s"
+    assert watch.status(15.0).text.endswith("silent for 5 s")
 
 
 def test_a_link_has_so_many_bytes_a_tick_and_more_after_a_pause() -> None:

@@ -39,7 +39,7 @@ def test_a_picture_goes_into_json_and_stays_small() -> None:
     drawn = picture["estimate"]
     assert isinstance(drawn, dict)
     assert (drawn["r95_m"], drawn["absolute_r95_m"]) == (estimate.r95_m, estimate.absolute_r95_m)
-    assert drawn["own_words"] == "GNSS 0.02 m"
+    assert drawn["own_text"] == "GNSS 0.02 m"
     assert picture["phase_detail"] == "approach: crossing 1, 19.1 m beyond the estimate"
 
 

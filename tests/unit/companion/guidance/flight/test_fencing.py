@@ -54,7 +54,7 @@ def test_a_guard_with_its_fence_needs_nothing_else() -> None:
     assert fencing.is_ready
     assert guards_fence(fencing) == SQUARE
     assert not fencing.wants_reading
-    assert fencing.words == "4 corners, 0 keep-outs, margin 3.0 m"
+    assert fencing.description == "4 corners, 0 keep-outs, margin 3.0 m"
 
 
 class TestAFenceInDegrees:
@@ -62,7 +62,7 @@ class TestAFenceInDegrees:
         fencing = of_file()
         assert guards_fence(fencing) is None
         assert fencing.missing == ["the origin"]
-        assert fencing.words == "none"
+        assert fencing.description == "none"
         fencing.set_origin(ORIGIN)
         assert fencing.is_ready
         fence = fencing.guard.limits.fence
@@ -193,7 +193,7 @@ class TestUsingTheAutopilots:
         polygon = guards_fence(fencing)
         assert polygon is not None
         assert polygon[1] == pytest.approx((95.0, -80.0), abs=1e-2)
-        assert fencing.words == "4 corners, 2 keep-outs, margin 3.9 m"
+        assert fencing.description == "4 corners, 2 keep-outs, margin 3.9 m"
 
     @pytest.mark.parametrize(
         ("answer", "problem"),
@@ -339,7 +339,7 @@ class TestAFenceThatChanges:
         fencing = flown(FencePolicy.USE, SMALL)
         fencing.take(read(BESIDE))
         assert allowed(fencing, (20.0, 0.0), (-10.0, 0.0), (40.0, 0.0)) == [True, False, False]
-        assert fencing.words.startswith("4 corners, 0 keep-outs, further fences: 1")
+        assert fencing.description.startswith("4 corners, 0 keep-outs, further fences: 1")
 
     def test_keep_outs_are_kept_too(self) -> None:
         fencing = flown(FencePolicy.USE, SQUARE, HOUSE)
@@ -391,7 +391,7 @@ class TestAFenceThatChanges:
         after.set_home((moved_m, 0.0))
         after.recall_flown(before.flown, before.fence_limits)
         assert allowed(after, (moved_m - 20.0, 0.0), (50.0, 0.0)) == [True, False]
-        assert f"further fences: {1 if moved_m == 0.0 else 2}" in after.words
+        assert f"further fences: {1 if moved_m == 0.0 else 2}" in after.description
 
     def test_on_the_ground_the_newest_parameters_count(self) -> None:
         fencing = flown(FencePolicy.USE, SQUARE)
