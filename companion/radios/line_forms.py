@@ -94,6 +94,7 @@ class ChannelSoundingDecoder(FormDecoder):
         ),
         form(r"istance estimates on antenna path [1-9]: ifft: "),
         form(r"istance estimates on antenna path 0: ifft: (?P<range_m>-?[0-9.]{1,12}), phase_"),
+        form(r"istance estimates: median: [0-9.]{1,12}m, update: (?P<range_m>-?[0-9.]{1,12})m\b"),
         form(r"Phase-Based Ranging method: (?P<range_m>-?[0-9.]{1,12}) meters"),
         form(r"(?:path 0: ifft:|Phase-Based Ranging method:) -?nan", "no distance by phases"),
         form(r"Round-Trip Timing method: "),

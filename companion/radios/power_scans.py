@@ -9,7 +9,7 @@ BlueZ client/main.c and monitor/packet.c; zephyr `samples/bluetooth/observer`; t
 print-802_11.c; espressif/arduino-esp32 BLE `toString`; ESP32 promiscuous sketches after
 lpodkalicki/blog; sandeepmistry/arduino-LoRa, jgromes/RadioLib, StuartsProjects/SX12XX-LoRa;
 meshtastic/firmware `printPacket`; REYAX RYLR896 and RAK RUI3, AT commands; OpenWrt `iwinfo`;
-airodump-ng; merbanan/rtl_433 `-M level`;
+espressif/esp-csi; airodump-ng; merbanan/rtl_433 `-M level`;
 DonLakeFlyer/MavlinkTagController2 `PulseHandler` and `detector/pulse_detector.py`.
 """
 
@@ -40,8 +40,9 @@ MIN_DBM = -114.0
 lower ones, -127 or -128, stand for no value."""
 _SETTING = (
     r"(?<![^\W_])(?:rssi|rx|signal)?(?:noise|background|interference|floor|thresh(?:old)?|limit"
-    r"|cut-?off|filter|sensitivity|cca|min(?:imum)?|max(?:imum)?|above|below|under|than|set(?:ting)?|default|configured|target"
-    r"|wanted|expected|ref(?:erence)?|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp"
+    r"|cut-?off|filter|sensitivity|cca|min(?:imum)?|max(?:imum)?|above|below|under|than"
+    r"|set(?:ting)?|default|configured|target|wanted|expected|ref(?:erence)?"
+    r"|calibrated|measured|tx|transmit(?:ted)?|output|e?irp|erp"
     r"|rem(?:ote)?)(?:power|pwr|level|floor|rssi)?(?![^\W_])"
 )
 """Words that make the level after them one that was not received here: a setting, noise, or what a
@@ -104,6 +105,7 @@ class PowerScanDecoder(FormDecoder):
         form(
             rf"^{_EMITTER}  {_DBM} dBm / \S+ dBm \(SNR -?[0-9]+\)  (?P<age_ms>[0-9]{{1,9}}) ms ago"
         ),
+        form(rf"\bCSI_DATA,\w{{1,8}},{_EMITTER},(?P<power_dbm>-[0-9]{{1,3}}),"),
         form(
             r"\bLora RX \(id=\w+ fr=(?P<emitter>0x[0-9a-f]{8}) [^()]*\bHopLim=(?P<hops>[0-7]) "
             r"[^()]*\brxRSSI=(?P<power_dbm>-[0-9]{1,3}) [^()]*\bhopStart=(?P=hops)\b"

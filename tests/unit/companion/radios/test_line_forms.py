@@ -46,6 +46,12 @@ def read(decoder: RadioDecoder, *printed: str) -> list[RadioReading]:
             1.039173,
         ),
         ("channel_sounding", "Phase-Based Ranging method: 2.300000 meters", None, 2.3),
+        (
+            "channel_sounding",
+            "<inf> app_main: Distance estimates: median: 1.31m, update: 1.24m, time_delta: 12ms",
+            None,
+            1.24,
+        ),
         ("channel_sounding", "Measurement result: 1234 mm | RSSI distance: 5123 mm", None, 1.234),
         ("channel_sounding", "[APP] [2] Measurement main mode result: 1234 mm", 2, 1.234),
     ],

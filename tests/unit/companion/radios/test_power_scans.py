@@ -59,6 +59,8 @@ def scanned(text: str, *, single: bool = False) -> tuple[list[tuple[object, obje
         (f"{MAC.replace(':', '-')} -61.5 dBm\n", -61.5),
         (f"{MAC.upper()}: tag (-61 dBm)\n", -61.0),
         (f"{MAC} RX RSSI     : -61\n", -61.0),
+        (f'CSI_DATA,17,{MAC},-61,11,1,0,-95,0,6,"[1,-2]"\n', -61.0),
+        (f"CSI_DATA,AP,{MAC.upper()},-61,11,1,0,-95,0,6,[1 -2]\n", -61.0),
         (f"{MAC} rxRssi=-61\n", -61.0),
         (f"{MAC} rssi -61 dBm, threshold -90 dBm\n", -61.0),
         (f"{MAC} tx power -12 dBm rssi -61\n", -61.0),
