@@ -340,7 +340,7 @@ class SearchKeeper(WriterThread[Snapshot]):
             log.info("%s", statement(*snapshot))
         is_written = super().close(timeout_s)
         if not is_written:
-            log.warning("%s: the last of the searched area is not written", self._journal.directory)
+            log.warning("%s: the final searched area was not written", self._journal.directory)
         return is_written
 
     def write_batch(self, batch: list[Snapshot]) -> None:

@@ -243,7 +243,7 @@ def fly(
     Raises:
         LinkError: A link cannot be opened, or another companion has the vehicle; nothing was sent.
         ConfigError: The signing key cannot be read.
-        CompanionError: The flight directory cannot be made.
+        CompanionError: The flight directory cannot be created.
     """
     keeper = open_signing(config)
     state = state_directory(config.process.state_directory, os.environ)

@@ -59,7 +59,7 @@ def radio_setup(radio: RadioConfig, path: str) -> RadioSetup:
         raise ConfigError(f"{path}: {error}") from None
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(f"{path}: its decoder cannot be made ({reason})") from error
+        raise ConfigError(f"{path}: its decoder cannot be created ({reason})") from error
     return setup
 
 

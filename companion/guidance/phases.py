@@ -70,8 +70,8 @@ PHASE_NAMES = {
     Phase.NORMAL: "searching",
     Phase.DEGRADED: "searching slowly",
     Phase.HOLD: "holding in place",
-    Phase.FINISHED: "found: handed over",
-    Phase.YIELD: "silent: pilot or another system flies",
+    Phase.FINISHED: "search over",
+    Phase.YIELD: "silent: pilot or another system has control",
     Phase.HANDBACK: "handing the vehicle back",
     Phase.STOPPED: "stopped",
 }

@@ -289,7 +289,7 @@ def keep_offset(directory: Path, key: str, offset: KeptOffset) -> Path:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CompanionError(f"{directory}: cannot be made ({error.strerror})") from None
+        raise CompanionError(f"{directory}: cannot be created ({error.strerror})") from None
     path = directory / FILE
     write_json_atomic(path, {name: msgspec.structs.asdict(each) for name, each in offsets.items()})
     return path

@@ -258,7 +258,7 @@ def new_flight_directory(root: Path, unix_s: float) -> Path:
             suffix += 1
         except OSError as error:
             raise CompanionError(
-                f"{directory}: cannot be made ({error.strerror}); choose another log.directory"
+                f"{directory}: cannot be created ({error.strerror}); choose another log.directory"
             ) from error
         else:
             return directory

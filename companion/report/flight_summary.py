@@ -293,7 +293,7 @@ def _merge(arguments: argparse.Namespace) -> int:
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError(f"{arguments.out}: cannot be made ({error.strerror})") from error
+        raise ConfigError(f"{arguments.out}: cannot be created ({error.strerror})") from error
     files = area_files(together, state)
     del files[RECORD]  # its looks are in the flights' own
     files[GEOJSON] = geojson_of(flights, state, first.origin).encode()

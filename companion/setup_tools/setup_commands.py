@@ -85,7 +85,7 @@ def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
         _undo(earlier, kept)
         if isinstance(error, CompanionError):
             raise
-        raise CompanionError(f"{directory}: cannot be made ({error.strerror})") from error
+        raise CompanionError(f"{directory}: cannot be created ({error.strerror})") from error
 
 
 def _undo(earlier: Mapping[Path, bytes | None], kept: Sequence[Path]) -> None:

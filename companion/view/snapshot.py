@@ -37,10 +37,10 @@ TAKE_BACK = "Any other mode takes control back at once."
 ALWAYS = {
     Phase.LAUNCHING: "Stand clear: it takes off by itself. Any mode switch or moved stick ends it.",
     Phase.FINISHED: (
-        "Hand the position over: HAND OVER on the map, or handoff.txt in the flight's folder."
+        "Read the result. Hand over a position by HAND OVER on the map, or by handoff.txt."
     ),
     Phase.HANDBACK: "Take over: it asks the autopilot to hold or to return, and stops flying.",
-    Phase.STOPPED: "You fly. The companion has ended; start it again for another search.",
+    Phase.STOPPED: "You have control. The companion has ended; start it again for another search.",
 }
 """Phases whose next step does not depend on anything else."""
 
@@ -49,7 +49,7 @@ def next_step(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
     """Return the next step; texts of phases have precedence."""
     vehicle = endpoint.session.vehicle
     if endpoint.binding.heard_s is None:
-        return "Switch the autopilot on. Nothing is heard yet: check cable, port and --connect."
+        return "Switch the autopilot on. It is not heard yet: check cable, port and --connect."
     if status.is_link_lost:
         return "Watch the vehicle: it follows its own failsafe. Check the link to the autopilot."
     words = ALWAYS.get(status.phase)
@@ -88,9 +88,9 @@ def _while_waiting(endpoint: CompanionEndpoint, status: GuidanceStatus) -> str:
 def _in_search(status: GuidanceStatus) -> str:
     estimate = status.estimate
     if status.phase is Phase.DEGRADED:
-        return "Watch it: the radio is barely heard. It flies slowly, and holds if that lasts."
+        return f"Watch it: it flies slowly while an input is degraded. {TAKE_BACK}"
     if estimate is None:
-        return f"Watch it search for the radio. {TAKE_BACK}"
+        return f"Watch it search for the emitter. {TAKE_BACK}"
     if estimate.state is EstimateState.AMBIGUOUS:
         return f"Watch it: two positions fit, and it flies to decide between them. {TAKE_BACK}"
     if estimate.state is EstimateState.LOCALISED:
@@ -102,17 +102,15 @@ def _while_holding(status: GuidanceStatus) -> str:
     if "operator" in status.detail:
         return "Press RESUME on the map to continue, or RETURN to end the search."
     if "ranging" in status.detail:
-        return (
-            "Check the radio. The search continues once it is heard; or take over and move closer."
-        )
+        return "Check the radio. The search continues once the emitter is heard; or move closer."
     return "Watch it: it continues by itself when this is over. Or take over with the mode switch."
 
 
 def _after_yielding(endpoint: CompanionEndpoint, guided: str) -> str:
     authority = endpoint.session.authority
     if authority.grant_reason is not None:
-        return f"You fly. To search again: {GRANT_HOW}, then switch the mode."
-    return f"You fly. To search again: stay in another mode until ready, then switch to {guided}."
+        return f"You have control. To resume: {GRANT_HOW}, then switch the mode."
+    return f"You have control. To resume: stay in another mode until ready, then {guided}."
 
 
 Json = dict[str, object]

@@ -216,12 +216,12 @@ class AgeBars:
     def show(self, picture: Json) -> None:
         """Show the flight at one moment, as `companion.view` describes it."""
         is_over = picture.get("is_over", False)
-        is_found = picture["phase"] == "finished"
+        is_finished = picture["phase"] == "finished"
         for name, (bar, label) in self._bars.items():
             age_s, limit_s = picture["ages_s"].get(name), self._old_after_s[name]
             share = 0.0 if age_s is None else min(1.0, age_s / limit_s)
             colour = "negative" if share >= 1.0 else "warning" if share > 0.6 else "positive"
-            if is_over or (is_found and name == "ranging"):
+            if is_over or (is_finished and name == "ranging"):
                 colour = "grey"  # ranging has ended, so its age is no fault
             bar.set_value(round(share, 2))  # 4e-14 is not a number to a screen reader
             bar.props(f"color={colour}")

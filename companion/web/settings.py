@@ -190,4 +190,4 @@ def check_tiles(folder: Path) -> None:
             f"--web-tiles {folder}: {error.strerror}; give a folder with z/x/y.png in it"
         ) from error
     if not has_tiles:
-        raise ConfigError(f"--web-tiles {folder}: there is no tile in it; tiles are z/x/y.png")
+        raise ConfigError(f"--web-tiles {folder}: contains no tiles; they are z/x/y.png")

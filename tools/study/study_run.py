@@ -44,7 +44,7 @@ def made_folder(path: Path) -> Path:
 
 
 class Store:
-    """Results by key, a file for each; a ConfigError if the folder cannot be made."""
+    """Results by key, a file for each; a ConfigError if the folder cannot be created."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = made_folder(folder)

@@ -169,7 +169,7 @@ NOT_IN_CONTROL = {
     Phase.STANDBY: "not in control yet",
     Phase.LAUNCHING: "taking off",
     Phase.FINISHED: "the search is over",
-    Phase.YIELD: "you are flying",
+    Phase.YIELD: "you have control",
     Phase.HANDBACK: "handing back",
     Phase.STOPPED: "ended",
 }

@@ -398,7 +398,7 @@ class PtyLink(StreamLink):
             return "the file exists already; delete it or choose another name"
         if not self._path.parent.is_dir():
             return f"there is no folder {self._path.parent}"
-        return f"cannot be made ({error.strerror or error})"
+        return f"cannot be created ({error.strerror or error})"
 
     def _wait(self) -> None:
         """Poll until a program has opened the slave side."""

@@ -397,5 +397,5 @@ def _schedule(texts: list[str], path: Path | None) -> faults.Schedule:
     for fault in found:
         if not isinstance(fault, faults.LinkFault | faults.ContentFault | faults.SecurityFault):
             kind = fault.__struct_config__.tag
-            raise ConfigError(f"{kind} happens to a vehicle or a process, not to a link")
+            raise ConfigError(f"{kind} is a fault of a vehicle or a process, not of a link")
     return faults.Schedule(faults=tuple(found))

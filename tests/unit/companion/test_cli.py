@@ -160,4 +160,4 @@ def test_tiles_of_demo_and_replay_are_looked_at_first(
     capsys: pytest.CaptureFixture[str], command: tuple[str, ...], tmp_path: Path
 ) -> None:
     line = complaint(capsys, *command, "--web", "8080", "--web-tiles", str(tmp_path))
-    assert "there is no tile in it" in line
+    assert "contains no tiles" in line

@@ -113,7 +113,7 @@ def test_an_offset_that_cannot_be_kept_is_shown_all_the_same(
     log.write_text(LINE * 6)
     assert calibrate(f"srsran_4g:name=none@exec:cat {log}") == 1
     said = capsys.readouterr().err
-    assert "not kept, so configure it: /proc/companion: cannot be made" in said
+    assert "not kept, so configure it: /proc/companion: cannot be created" in said
     assert "range_offset_m: 1052.958" in said
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from companion.domain import EstimateState, FlightMode
 from companion.guidance.handover import GRANT_HOW
-from companion.guidance.phases import Phase
+from companion.guidance.phases import PHASE_NAMES, Phase
 from companion.guidance.session import GuidanceStatus
 from companion.view.snapshot import next_step
 from tests.loop.loop_helpers import Loop
@@ -45,6 +45,11 @@ def test_before_anything_is_heard_it_says_what_to_switch_on() -> None:
     assert hint(Loop(seed=1)).startswith("Switch the autopilot on.")
 
 
+def test_the_end_of_a_search_does_not_claim_that_an_emitter_was_found(flown: Loop) -> None:
+    assert "found" not in PHASE_NAMES[Phase.FINISHED]
+    assert hint(flown, phase=Phase.FINISHED).startswith("Read the result.")
+
+
 def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
     assert "failsafe" in hint(flown, is_link_lost=True)
 
@@ -52,7 +57,7 @@ def test_a_lost_link_comes_before_the_phase(flown: Loop) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"estimate": None}, "search for the radio"),
+        ({"estimate": None}, "search for the emitter"),
         ({"phase": Phase.HOLD, "detail": "operator requested hold"}, "Press RESUME"),
         ({"phase": Phase.HOLD, "detail": "no ranging for 5 s"}, "Check the radio"),
         ({"phase": Phase.WAITING, "detail": "found in OFFBOARD"}, "Switch to another mode"),

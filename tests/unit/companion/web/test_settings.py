@@ -40,7 +40,7 @@ def test_a_short_token_is_refused() -> None:
 def test_tiles_must_be_a_folder_with_tiles(tmp_path: Path) -> None:
     for folder, why in (
         (tmp_path / "nowhere", "No such file or directory"),
-        (tmp_path, "there is no tile in it"),
+        (tmp_path, "contains no tiles"),
     ):
         with pytest.raises(ConfigError, match=why) as caught:
             web_settings("8080", tiles=folder)
