@@ -111,6 +111,8 @@ class ChannelSoundingDecoder(FormDecoder):
         if handle is not None and peer is not None:
             self._peers[handle] = peer
             return self.no_reading()
+        if handle is None and self._peers:
+            return self.refused("line without its connection")
         return self.read_fields({**fields, "emitter": self._peers.get(handle or "", handle)})
 
 

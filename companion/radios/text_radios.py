@@ -331,7 +331,8 @@ class SilabsAoaDecoder(FieldDecoder):
     before. The distance is an estimate by power, and is not read.
     """
 
-    _TAG = re.compile(r"/ble-[a-z]{1,4}-([0-9A-Fa-f]{12})")
+    _TAG = re.compile(r"\bangle/[^/\s]{1,64}/ble-[a-z]{1,4}-([0-9A-Fa-f]{12})")
+    """Topic: the locator, and then the tag."""
     _TOPIC = re.compile(rf"{_TAG.pattern}\s*$")
     """Topic at the end of a line, without its object."""
     longest_object = 2048
@@ -352,7 +353,7 @@ class SilabsAoaDecoder(FieldDecoder):
             return self.no_reading()
         before, brace, rest = line.rpartition("{")
         if brace:
-            named = self._TAG.findall(line)  # the locator, and then the tag
+            named = self._TAG.findall(line)
             self._tag = named[-1].upper() if named else None if before.strip() else self._topic
             self._has_topics = self._has_topics or bool(named)
             self._topic, self._object = None, "{" + rest

@@ -86,6 +86,8 @@ def test_a_silabs_initiator_names_the_reflector_of_each_connection() -> None:
         (first, 1.235),
     ]
     assert decoder.counts.unrecognised == 0
+    assert read(decoder, "1] Measurement main mode result: 1236 mm") == []
+    assert "without its connection" in " ".join(decoder.counts.refused)
 
 
 def test_several_of_one_line_are_all_read() -> None:

@@ -340,6 +340,8 @@ def test_an_object_whose_topic_was_lost_is_of_no_tag() -> None:
     torn = f"{LOCATOR}/ble-pd-{TAG_B}\n" + angle()[:15] + topic + angle()
     assert silabs(torn) == ([TAG_A], [])
     assert silabs(topic + f"{LOCATOR}/ble-pd-84FD\n" + angle())[0] == []
+    for end in (" ", "\n"):  # the locator is no tag
+        assert silabs(topic + angle() + LOCATOR + end + angle())[0] == [TAG_A]
 
 
 def test_angles_of_another_program_are_not_taken_for_degrees() -> None:
