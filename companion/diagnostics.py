@@ -88,7 +88,7 @@ def process_use() -> ProcessUse:
 
 
 RECORD_PERIOD_S = 10.0
-LOOK_PERIOD_S = 0.5
+CHECK_PERIOD_S = 0.5
 SILENT_DISK_S = 2.0
 MISSED_TICKS = 10
 """Ticks missed within a period before this is reported."""
@@ -120,7 +120,7 @@ class ProcessDiagnostics:
         self._journal = parts.journal
         self._timing = parts.timing
         self._speed = speed
-        self._next_s = self._next_look_s = -math.inf
+        self._next_s = self._next_check_s = -math.inf
         self._reported_dropped = 0
         self._is_disk_silent = False
         self._late_total_s = 0.0
@@ -128,8 +128,8 @@ class ProcessDiagnostics:
     def run(self, now_s: float) -> None:
         """Record and report the figures that are due."""
         wall_s = now_s / self._speed
-        if wall_s >= self._next_look_s:
-            self._next_look_s = wall_s + LOOK_PERIOD_S
+        if wall_s >= self._next_check_s:
+            self._next_check_s = wall_s + CHECK_PERIOD_S
             self._check_disk(now_s)
         if wall_s < self._next_s:
             return
@@ -210,14 +210,14 @@ class LinkWatch:
         self._journal = journal
         self._reported = [(0, 0) for _ in links]
         self._may_report = [RateLimit(LINK_TEXTS_PER_S) for _ in links]
-        self._next_look_s = 0.0
+        self._next_check_s = 0.0
         self._next_record_s = 0.0
 
     def check(self, now_s: float) -> None:
         """Announce changes of the links' counters, and record all counters, each at its period."""
-        if now_s < self._next_look_s:
+        if now_s < self._next_check_s:
             return
-        self._next_look_s = now_s + LINK_CHECK_PERIOD_S
+        self._next_check_s = now_s + LINK_CHECK_PERIOD_S
         for number, link in enumerate(self._links):
             self._check(number, link, now_s)
         if now_s >= self._next_record_s:

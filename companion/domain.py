@@ -21,16 +21,16 @@ import msgspec
 from companion.geometry.coordinates import Projection
 from companion.geometry.polygons import Point as Point
 
-MOST = 1e6
+MAX_SETTING = 1e6
 """Largest configured length, time, speed or ratio in its unit; the product of any four still fits
 the float32 of a parameter or an estimate on the wire."""
 MAX_COORDINATE_M = 1e5
 """Limit of coordinates in the local frame, and of an estimate's standard deviation: 100 km."""
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MOST)]
-NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MOST)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=MAX_SETTING)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_SETTING)]
 
 
-Signed = Annotated[float, msgspec.Meta(ge=-MOST, le=MOST)]
+Signed = Annotated[float, msgspec.Meta(ge=-MAX_SETTING, le=MAX_SETTING)]
 Distance = Annotated[float, msgspec.Meta(ge=0.01, le=1e4)]
 """Distance in m, from the centimetre of a GNSS receiver with RTK to the largest fence of an
 autopilot (PX4: GF_MAX_HOR_DIST up to 10,000 m)."""

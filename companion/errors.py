@@ -34,7 +34,7 @@ def how_to_install(*packages: str) -> str:
     return f"python3 -m pip --python {shlex.quote(sys.executable)} install {shlex.join(packages)}"
 
 
-_OBEYED = re.compile(
+_CONTROLS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 """Control characters but tab and line feed, those that turn the direction of a line, other ends of
@@ -43,4 +43,4 @@ a line, and halves of a character."""
 
 def printable(text: str) -> str:
     """Return a text with the characters escaped that a terminal would obey instead of show."""
-    return _OBEYED.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)

@@ -44,7 +44,7 @@ PACKAGES = ("companion", "sim_link")
 """Packages that define kernels."""
 
 
-def _keep_compiled_apart() -> None:
+def _use_separate_cache() -> None:
     """Point numba's cache at a folder for these sources, and drop those long unused."""
     if os.environ.get("NUMBA_CACHE_DIR"):
         return
@@ -62,7 +62,7 @@ def _keep_compiled_apart() -> None:
 
 
 if numba is not None:
-    _keep_compiled_apart()
+    _use_separate_cache()
 
 IS_NATIVE: bool = _native is not None
 """True if kernels were compiled ahead."""

@@ -27,7 +27,7 @@ from companion.io.files import open_file
 
 T = TypeVar("T")
 Renew = Callable[[dict[str, Any]], object]
-SMALLEST = 1e-12
+MIN_MAGNITUDE = 1e-12
 """Smallest magnitude but 0; the square of a much smaller number is zero, its inverse infinite."""
 MAX_PROBLEMS = 20
 """Largest number of lines in an error."""
@@ -39,8 +39,8 @@ MAX_MERGED = 10_000
 SHOWN = 20
 """Characters of a value that an error repeats."""
 UNKNOWN = "unknown key; check its spelling and indentation"
-UNSHOWN = "has characters that cannot be shown"
-_UNSHOWN = re.compile(
+UNPRINTABLE = "has characters that cannot be shown"
+_UNPRINTABLE = re.compile(
     r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 """Control characters, those that turn the direction of a line, and halves of a character."""
@@ -250,7 +250,7 @@ def _parse(text: str, name: str) -> object:
         raise ConfigError(f"{name}:{where} {problem}") from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise ConfigError(f"{name}: line {line}: {UNSHOWN}") from None
+        raise ConfigError(f"{name}: line {line}: {UNPRINTABLE}") from None
     except RecursionError:
         raise ConfigError(f"{name}: nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError) as error:
@@ -278,11 +278,11 @@ def _located(text: str, raw: object, kind: type) -> _Problem:
 
 def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
     """Return NaN, infinity, underflow, control characters, keys that are not text."""
-    if isinstance(value, str) and _UNSHOWN.search(value):
-        return [_Problem(path, UNSHOWN)]
+    if isinstance(value, str) and _UNPRINTABLE.search(value):
+        return [_Problem(path, UNPRINTABLE)]
     if isinstance(value, float) and not math.isfinite(value):
         return [_Problem(path, "must be a finite number")]
-    if isinstance(value, float) and 0.0 < abs(value) < SMALLEST:
+    if isinstance(value, float) and 0.0 < abs(value) < MIN_MAGNITUDE:
         return [_Problem(path, "is too close to zero to compute with; give 0 or a larger number")]
     if not isinstance(value, dict | list) or id(value) in seen:
         return []

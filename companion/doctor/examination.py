@@ -140,7 +140,7 @@ FIX_3D = 3
 LOW_BATTERY_PCT = 30
 SLOW_WRITE_S = 1.0
 MIN_FREE_MB = 50.0
-A_RECENT_TIME_S = 1.735e9
+MIN_UNIX_S = 1.735e9
 """Unix time of 2024-12-24; a clock before that was never set."""
 
 
@@ -208,7 +208,7 @@ def _check_key(host: HostFacts) -> CheckResult:
 
 
 def _check_clock(host: HostFacts) -> CheckResult:
-    if host.unix_s < A_RECENT_TIME_S:
+    if host.unix_s < MIN_UNIX_S:
         text = "this computer's clock was never set"
         return (fail if host.has_key else warn)("clock", text, "set it, by NTP or GPS")
     if host.is_clock_synchronised is False:

@@ -158,7 +158,7 @@ ONE_SHOT = (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, mavlink.MAVLINK_MSG_ID_HOM
 FIRST_RETRY_S = 1.0
 """First and last interval between requests for one stream, doubled each time."""
 LAST_RETRY_S = 16.0
-LOOK_PERIOD_S = 0.2
+CHECK_PERIOD_S = 0.2
 """Interval of checks while nothing is missing."""
 MISSED_PERIODS = 3.0
 """Silent periods after which a stream has stopped, and mean interval that makes it slow."""
@@ -196,7 +196,7 @@ class _Want:
             return False
         return stream.gap_s is None or stream.gap_s <= MISSED_PERIODS * self.interval_s
 
-    def look(self, stream: Stream, now_s: float) -> bool:
+    def check(self, stream: Stream, now_s: float) -> bool:
         """Check its stream; return True if a request is due: the first one, or if it is not met."""
         if self.asked_s is None:
             self.asked_s, self.asks = now_s, 1
@@ -224,7 +224,7 @@ class StreamRequester:
         """Request everything again after a restart of the autopilot."""
         self._wants = [_Want(number, every_s) for number, every_s in STREAM_INTERVAL_S.items()]
         self._wants += [_Want(number, None) for number in ONE_SHOT]
-        self.next_look_s = -math.inf
+        self.next_check_s = -math.inf
         """Time of the next check, if a request is not overdue."""
         self._had_rc = False
 
@@ -245,7 +245,7 @@ class StreamRequester:
         is_mode_wanted: bool = False,
     ) -> Message | None:
         """Return the next request, if any; for a HEARTBEAT first, if the mode is in doubt."""
-        if now_s < self.next_look_s and not is_mode_wanted:
+        if now_s < self.next_check_s and not is_mode_wanted:
             return None
         if self._is_heartbeat_due(now_s, is_wanted=is_mode_wanted):
             self._heartbeat_asked_s = now_s
@@ -253,11 +253,11 @@ class StreamRequester:
         for want in self._wants:
             if ONLY_FROM.get(want.message_id, autopilot) is not autopilot:
                 continue
-            if want.look(self._freshness.stream(want.message_id), now_s):
+            if want.check(self._freshness.stream(want.message_id), now_s):
                 if want.interval_s is None:
                     return request_message(want.message_id, target)
                 return _set_interval(want.message_id, 1e6 * want.interval_s, target)
-        self.next_look_s = now_s + LOOK_PERIOD_S
+        self.next_check_s = now_s + CHECK_PERIOD_S
         return None
 
     def _is_heartbeat_due(self, now_s: float, *, is_wanted: bool) -> bool:
@@ -280,9 +280,9 @@ def _set_interval(message_id: int, interval_us: float, target: Ids) -> Message:
     return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, params).message(target)
 
 
-STOP_AGAIN_S, STILL_COMES_S = 2.0, 1.0
+STOP_AGAIN_S, STILL_ARRIVES_S = 2.0, 1.0
 """Interval between two requests if the stream continues: messages in flight are no refusal."""
-OFF_US = -1.0
+STREAM_OFF_US = -1.0
 """Interval that stops a stream."""
 
 
@@ -302,10 +302,10 @@ class StreamStopper:
         """Return the next request to send, if any."""
         for message_id, heard_s in self._heard_s.items():
             asks, asked_s = self._asked.get(message_id, (0, -math.inf))
-            still_comes = now_s - heard_s <= STILL_COMES_S and now_s - asked_s >= STOP_AGAIN_S
-            if asks < MAX_REQUESTS and still_comes:
+            still_arrives = now_s - heard_s <= STILL_ARRIVES_S and now_s - asked_s >= STOP_AGAIN_S
+            if asks < MAX_REQUESTS and still_arrives:
                 self._asked[message_id] = (asks + 1, now_s)
-                return _set_interval(message_id, OFF_US, target)
+                return _set_interval(message_id, STREAM_OFF_US, target)
         return None
 
     def restart(self) -> None:
@@ -378,7 +378,7 @@ class AutopilotQueries:
         mode = request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, ids) if self._asks_mode else None
         self._asks_mode = False
         time = self.clock.due(now_s, *ids)
-        quiet_until_s = min(self.clock.next_s, self._streams.next_look_s)
+        quiet_until_s = min(self.clock.next_s, self._streams.next_check_s)
         self.next_s = quiet_until_s if request is None else now_s
         return [due for due in (mode, request, time) if due is not None]
 

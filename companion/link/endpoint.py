@@ -62,7 +62,7 @@ SIGNS = (
 """Messages that are requested from an address that may be the autopilot's now."""
 PAUSE_S = 0.001
 """Interval between two wake-ups for deferred work: the links are read in between."""
-LOOK_PERIOD_S = 1.0
+CHECK_PERIOD_S = 1.0
 """Interval at which counters and clocks of the links are checked for something to announce."""
 RECORD_PERIOD_S = 10.0
 """Interval of the link health in the event log."""
@@ -121,7 +121,7 @@ class CompanionEndpoint:
         self._texts = 0
         """Number of texts sent until the end of the last one."""
         self.next_tick_s = -math.inf
-        self._woken_s = self._next_look_s = self._next_record_s = -math.inf
+        self._woken_s = self._next_check_s = self._next_record_s = -math.inf
 
     def _make_intake(self, number: int, link: LinkSpec) -> Intake:
         """Return the intake of a link, with a codec that signs and verifies if there is a key."""
@@ -201,8 +201,8 @@ class CompanionEndpoint:
         self._note_binding(now_s)
         for intake in self._intakes:
             intake.budget.renew()
-        if now_s >= self._next_look_s:
-            self._next_look_s = now_s + LOOK_PERIOD_S
+        if now_s >= self._next_check_s:
+            self._next_check_s = now_s + CHECK_PERIOD_S
             self._announce_link_state(now_s)
         for radio in self.radios:
             for text in radio.tick(now_s):

@@ -26,7 +26,7 @@ from companion.run import FlightView
 
 log = logging.getLogger("companion.view")
 
-LOOK_S = 0.25
+CHECK_S = 0.25
 """Time between two checks for due events."""
 MIN_S = 1.0
 """Shortest time between two events of an emitter."""
@@ -101,7 +101,7 @@ class CotView(FlightView):
         """Send events that are due."""
         if now_s < self._next_s:
             return
-        self._next_s = now_s + LOOK_S
+        self._next_s = now_s + CHECK_S
         origin = endpoint.session.vehicle.origin
         if origin is None:
             return

@@ -66,7 +66,7 @@ class CommandButtons:
                 del self._awaited[label]
                 ui.notify(text, type="negative" if " refused" in text else "positive")
 
-    def look(self) -> None:
+    def check_answers(self) -> None:
         """Warn once of every command that was not answered in time, and forget old ones."""
         now_s = time.monotonic()
         for label, (flight_s, pressed_s, is_missed) in list(self._awaited.items()):

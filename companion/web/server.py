@@ -131,7 +131,7 @@ class Page:
     def _refresh(self) -> None:
         hub = self._hub
         if self._commands is not None:
-            self._commands.look()
+            self._commands.check_answers()
         if hub.version == 0:
             return  # a replay begins when a browser has opened the page
         if hub.version == self._shown:

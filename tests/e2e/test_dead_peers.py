@@ -29,7 +29,7 @@ REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
 
 @pytest.fixture(autouse=True)
 def _looks_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.io.links.byte_streams.LOOK_PERIOD_S", 0.03)
+    monkeypatch.setattr("companion.io.links.byte_streams.CHECK_PERIOD_S", 0.03)
     monkeypatch.setattr("companion.io.links.byte_streams.BACKOFF_MIN_S", 0.02)
 
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from companion.domain import (
-    MOST,
+    MAX_SETTING,
     NonNegative,
     Params,
     PositionEnu,
@@ -382,7 +382,7 @@ class FilterParams(FilterConfig, frozen=True, dict=True):
         if not self.use_reported_sigma or reported == (None, None, None):
             return configured
         used = []
-        largest = (MOST, math.pi, math.pi)  # half a turn is no information about a direction
+        largest = (MAX_SETTING, math.pi, math.pi)  # half a turn is no information about a direction
         rounding = 2.0**-23  # of float32: a configured sigma may be reported this much smaller
         for sigma, least, most, own in zip(
             reported, m.least_sigmas, largest, configured, strict=True

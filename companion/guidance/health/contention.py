@@ -275,9 +275,9 @@ class StickWatch(Watch):
         if moved_s is None:
             is_held = now_s - seen_s < RELEASED_S
             return _finding(Verdict.HOLD) if is_held else None
-        is_wish = self._reaction == "yield" and seen_s - moved_s >= LASTING_S
-        is_wish = is_wish and self._is_pilots(moved_s, now_s)
-        return _finding(Verdict.YIELD if is_wish else Verdict.HOLD)
+        is_request = self._reaction == "yield" and seen_s - moved_s >= LASTING_S
+        is_request = is_request and self._is_pilots(moved_s, now_s)
+        return _finding(Verdict.YIELD if is_request else Verdict.HOLD)
 
     @property
     def _is_lost(self) -> bool:

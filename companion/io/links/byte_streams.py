@@ -44,7 +44,7 @@ SYSTEM_QUEUE_S = 0.1
 """Largest queue of a serial line in the system's own buffer, in seconds of its speed."""
 MIN_QUEUE_BYTES = 600
 """Smallest queue: room for two of the longest frames on the slowest of lines."""
-LINE_LOOK_S = 0.02
+LINE_CHECK_S = 0.02
 READ_BYTES = 4096
 BACKOFF_MIN_S = 0.5
 BACKOFF_MAX_S = 5.0
@@ -56,7 +56,7 @@ STABLE_S = 10.0
 SILENT_S = 10
 """Silence of a peer, ten HEARTBEATs of a second each, after which it is gone; it is counted in
 checks, so that a suspended process does not mistake its own absence for the peer's."""
-LOOK_PERIOD_S = 1.0
+CHECK_PERIOD_S = 1.0
 USER_TIMEOUT_MS = 5_000
 """Longest time for which sent data may stay unacknowledged."""
 KEEPALIVE_IDLE_S, KEEPALIVE_INTERVAL_S, KEEPALIVE_PROBES = 5, 2, 3
@@ -140,7 +140,7 @@ class ByteStream:
         if self._bytes_per_s is None or room >= len(self._queue):
             self._loop.add_writer(self._fd, self._flush)
         else:
-            self._look = self._loop.call_later(LINE_LOOK_S, self._flush)
+            self._look = self._loop.call_later(LINE_CHECK_S, self._flush)
 
     def _room(self) -> int:
         if self._bytes_per_s is None:
@@ -228,7 +228,7 @@ class StreamLink(Link):
             self._look_again()
 
     def _look_again(self) -> None:
-        self._looking = asyncio.get_running_loop().call_later(LOOK_PERIOD_S, self._look_at_peer)
+        self._looking = asyncio.get_running_loop().call_later(CHECK_PERIOD_S, self._look_at_peer)
 
     def _look_at_peer(self) -> None:
         """Close a connection that brought no MAVLink frame in `SILENT_S`."""

@@ -203,7 +203,7 @@ exec 3<&-
 exec sh -c "$1"
 """
 _SHELL_WORDS = frozenset(";|&(){}<>$=`\n")
-EXIT_LOOK_S = 0.05
+EXIT_CHECK_S = 0.05
 """Time from the end of its output until a program is surely gone."""
 LONGEST_NAME = 60
 STEADY_S = 1.0
@@ -298,7 +298,7 @@ class ExecLink(Link):
         """Handle the end of its output; a moment later its exit code is known."""
         del reason
         if not self._is_closed:
-            self._timer = asyncio.get_running_loop().call_later(EXIT_LOOK_S, self._end)
+            self._timer = asyncio.get_running_loop().call_later(EXIT_CHECK_S, self._end)
 
     def _end(self) -> None:
         code = None if self._process is None else self._process.poll()
@@ -350,7 +350,7 @@ class StdinLink(StreamLink):
         self._use_stream(os.fdopen(fd, "rb", buffering=0), fd)
 
 
-LOOK_S = 0.05
+CHECK_S = 0.05
 
 
 class PtyLink(StreamLink):
@@ -409,7 +409,7 @@ class PtyLink(StreamLink):
         watch.register(self._master, select.POLLIN)
         is_hung_up = any(events & select.POLLHUP for _, events in watch.poll(0))
         if is_hung_up:
-            self._look = asyncio.get_running_loop().call_later(LOOK_S, self._wait)
+            self._look = asyncio.get_running_loop().call_later(CHECK_S, self._wait)
         else:
             # the master outlives its streams: the next program to open the port uses the same one
             self._use_stream(ExitStack(), self._master)

@@ -257,7 +257,7 @@ class PlayedFileLink(WaitingLink):
                 number += 1
 
 
-LOOK_S = 0.5
+CHECK_S = 0.5
 """Interval at which a silent connection checks for its end."""
 RETRY_S = 1.0
 BINARY = 0x82
@@ -303,7 +303,7 @@ class WebSocketLink(WaitingLink):
                         connection.send(line)
                     while not self._stop.is_set():
                         try:
-                            message = connection.recv(timeout=LOOK_S)
+                            message = connection.recv(timeout=CHECK_S)
                         except TimeoutError:
                             continue
                         self._hand_over(on_the_wire(message))
@@ -326,6 +326,6 @@ class WebSocketLink(WaitingLink):
             compression=None,
             proxy=None,
             open_timeout=TIMEOUT_S,
-            close_timeout=LOOK_S,
+            close_timeout=CHECK_S,
             max_size=MAX_PAGE_BYTES,
         )

@@ -305,7 +305,11 @@ CLOCK_TOLERANCE_S = 0.03
 ONE_SLIP_S = 5.0
 """Time within which stamps and exchange show the same slip, unless the stamps gained so much again
 that the clock is unusable: that is another slip."""
-LATE_CONFIRM_S_OF = {Lateness.NONE: LATE_CONFIRM_S, Lateness.UNKNOWN: 10.0, Lateness.SLOW: 60.0}
+CONFIRM_BY_LATENESS_S = {
+    Lateness.NONE: LATE_CONFIRM_S,
+    Lateness.UNKNOWN: 10.0,
+    Lateness.SLOW: 60.0,
+}
 """Time for which late stamps are attributed to a slow link before a restarted autopilot."""
 
 
@@ -351,7 +355,7 @@ class VehicleClock:
         lateness = self.sync.lateness(now_s)
         is_prompt = self.sync.round_trip_s is not None and lateness is Lateness.NONE
         self._stamps.timebase.max_late_s = PROMPT_LATE_S if is_prompt else MAX_LATE_S
-        late_confirm_s = LATE_CONFIRM_S_OF[lateness]
+        late_confirm_s = CONFIRM_BY_LATENESS_S[lateness]
         reading = self._stamps.read(remote_s, now_s, late_confirm_s=late_confirm_s)
         if reading.step is not ClockStep.NONE:
             self.slips += 1

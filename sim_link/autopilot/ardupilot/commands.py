@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from companion.mav.dialect import mavlink
 from companion.mav.flight_modes import CUSTOM_MODE_ENABLED, OFFBOARD_NUMBER
-from sim_link.autopilot.ardupilot.control import OUT_OF_SIGHT_M, Target
+from sim_link.autopilot.ardupilot.control import UNLIMITED_HEIGHT_M, Target
 from sim_link.autopilot.ardupilot.firmware_profile import (
     ARDUPILOT_TABLES,
     AUTO,
@@ -99,7 +99,7 @@ def _take_off(flavour: ArduPilotFlavour, command: Command, _now_s: float) -> int
     if command.frame is not None and command.frame not in TAKEOFF_FRAMES:
         return UNSUPPORTED_MAV_FRAME
     asked_m, aircraft = command.params[6], flavour.aircraft
-    height_m = OUT_OF_SIGHT_M if math.isnan(asked_m) else min(asked_m, OUT_OF_SIGHT_M)
+    height_m = UNLIMITED_HEIGHT_M if math.isnan(asked_m) else min(asked_m, UNLIMITED_HEIGHT_M)
     is_ready = flavour.copter_mode is GUIDED and aircraft.is_armed and aircraft.body.is_on_ground
     if not is_ready or height_m <= 0.0:
         return FAILED

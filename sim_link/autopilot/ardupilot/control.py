@@ -66,7 +66,7 @@ LOCAL_OFFSET_NED = mavlink.MAV_FRAME_LOCAL_OFFSET_NED
 BODY_NED = mavlink.MAV_FRAME_BODY_NED
 BODY_OFFSET_NED = mavlink.MAV_FRAME_BODY_OFFSET_NED
 LOCAL_FRAMES = (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
-OUT_OF_SIGHT_M = 1e9
+UNLIMITED_HEIGHT_M = 1e9
 """Height beyond any flight, for an infinite one."""
 BODY_FRAMES = (BODY_NED, BODY_OFFSET_NED)
 TERRAIN_FRAMES = (mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT, mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT)
@@ -101,7 +101,7 @@ def target_from_local(message: LocalTarget, aircraft: Aircraft) -> Target:
 
 def _local_position(message: LocalTarget, aircraft: Aircraft) -> PositionEnu:
     """Return the position; any frame but LOCAL_NED is an offset from the vehicle."""
-    z = max(-OUT_OF_SIGHT_M, min(OUT_OF_SIGHT_M, message.z))
+    z = max(-UNLIMITED_HEIGHT_M, min(UNLIMITED_HEIGHT_M, message.z))
     if message.coordinate_frame == LOCAL_NED:
         return aircraft.estimator.world_from_local(enu_from_ned((message.x, message.y, z)))
     own_east, own_north, own_up = aircraft.motion.position_enu_m

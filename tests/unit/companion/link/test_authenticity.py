@@ -6,7 +6,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.phases import Phase
-from companion.link.endpoint import LOOK_PERIOD_S
+from companion.link.endpoint import CHECK_PERIOD_S
 from companion.link.intake import REPORT_PERIOD_S
 from companion.link.interface import LinkParams, LinkRole
 from companion.mav.codec import MAGIC_V1, MAGIC_V2, MavCodec, frame_crc, without_signature
@@ -122,7 +122,7 @@ def test_refusals_are_reported_within_a_second_and_then_rarely() -> None:
 def test_a_key_holder_with_a_clock_far_ahead_is_an_alarm() -> None:
     made = in_offboard()
     made.say(heartbeat(), sender=codec(unix_s=UNIX_S + 61.0))
-    made.wait(LOOK_PERIOD_S)
+    made.wait(CHECK_PERIOD_S)
     assert any(
         "too far ahead (the sender has the key; set its clock" in t for t in made.journal.texts
     )
@@ -206,7 +206,7 @@ def test_an_unsigned_station_changes_no_parameter_and_gives_no_command(
     grant = mavlink.MAVLink_command_long_message(1, 191, 92, 0, *(1.0, 0, 0, 0, 0, 0, 0))
     for message in (speed, grant):
         made.say(message, sender=MavCodec(255, 190), link=1)
-    made.wait(LOOK_PERIOD_S)
+    made.wait(CHECK_PERIOD_S)
     assert made.endpoint.session.context.guard.limits.envelope.speed_mps == 5.0
     assert made.of(mavlink.MAVLink_command_ack_message) == []
     assert any("refused 2 x unsigned" in text for text in made.journal.texts)

@@ -8,7 +8,7 @@ import pytest
 
 from companion.config.schema import CompanionConfig
 from companion.guidance.phases import Phase
-from companion.link.endpoint import LOOK_PERIOD_S
+from companion.link.endpoint import CHECK_PERIOD_S
 from companion.link.executor import TEXT_BURST
 from companion.link.gcs_services import COMMANDS_PER_S, REQUEST_CAPABILITIES
 from companion.link.interface import VehicleParams
@@ -134,7 +134,7 @@ def test_strangers_with_the_autopilots_ids_are_reported_rarely() -> None:
         wire.wait(0.05)
     said = [text for text in wire.journal.texts if "from other senders were ignored" in text]
     assert len(said) == 1
-    assert 1 <= int(said[0].split()[0]) <= 20 * LOOK_PERIOD_S
+    assert 1 <= int(said[0].split()[0]) <= 20 * CHECK_PERIOD_S
 
 
 def listening() -> Wire:
@@ -204,7 +204,7 @@ def test_a_restarted_router_is_followed_after_silence_and_announced() -> None:
     wire.say(wire.position(), peer=moved)
     wire.wait(0.1)
     assert wire.endpoint.binding.peer == ("127.0.0.1", 40_001)
-    wire.wait(LOOK_PERIOD_S)
+    wire.wait(CHECK_PERIOD_S)
     assert any("from another address: 127.0.0.1:40001" in text for text in wire.journal.texts)
 
 

@@ -32,7 +32,7 @@ STICKS = [1500] * 18 + [200]
 CLOCK = frozenset({"time_boot_ms", "time_usec"})
 BEYOND = frozenset({"LOCAL_POSITION_NED", "ESTIMATOR_STATUS", "EKF_STATUS_REPORT"})
 """The vehicle's view judges positions; ratios of an estimator that fails have no upper end."""
-MOST = 1e6
+MAX_FLOAT = 1e6
 """Metres, percent, radians, degrees or volts: no report of a flight says more."""
 
 
@@ -102,7 +102,7 @@ def test_unknown_values_are_never_numbers(name: str) -> None:
         known = [vehicle.motion, vehicle.origin, vehicle.battery_pct, vehicle.track.latest_yaw]
         for number in (*numbers(known), *numbers([] if name in BEYOND else events)):
             assert math.isfinite(number), (field, value)
-            assert abs(number) <= MOST, (field, value)
+            assert abs(number) <= MAX_FLOAT, (field, value)
 
 
 def test_the_good_ones_are_known() -> None:

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from companion.domain import MOST, RangingMeasurement
+from companion.domain import MAX_SETTING, RangingMeasurement
 from companion.estimation.filters.target_filter import FilterParams
 from companion.estimation.measurement_model import ABSENT
 from companion.estimation.window.map_kernels import SEQUENCE, SIGMAS, VALUES
@@ -153,7 +153,8 @@ def test_an_elevation_may_be_left_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reported", "counted"), [(1e-300, 1.5), (1e-6, 1.5), (1.4, 1.5), (3.0, 3.0), (1e300, MOST)]
+    ("reported", "counted"),
+    [(1e-300, 1.5), (1e-6, 1.5), (1.4, 1.5), (3.0, 3.0), (1e300, MAX_SETTING)],
 )
 def test_a_reported_sigma_counts_as_the_configured_one_at_least(
     reported: float, counted: float
