@@ -125,7 +125,8 @@ def heard(
     config: CompanionConfig, ticks: int = 200, autopilot: int = PX4, h_acc_mm: int | None = None
 ) -> Wire:
     """Return the wire after ticks of 0.1 s in the air, about an emitter without errors."""
-    wire = Wire(config, gcs_links=1).ready()
+    wire = Wire(config, gcs_links=1).ready(is_armed=False)
+    wire.say(local_position(round(1e3 * wire.now_s) + 50, -40.0, 55.0, -20.0, 0.0, 0.0, 0.0))
     wire.say(heartbeat(autopilot, is_armed=True, status=4))
     for tick in range(ticks):
         wire.wait(0.1)
