@@ -30,6 +30,8 @@ LINE = re.compile(r"\\$(ACM,([0-9]{1,5}),([0-9]{1,7}))\\*([0-9A-F]{2})")
 class AcmeDecoder(LineDecoder):
     """Its lines."""
 
+    has_stamps = False
+
     def read_line(self, line: str, received_s: float) -> list[RadioReading]:
         """One range."""
         found = LINE.fullmatch(line)
