@@ -168,7 +168,7 @@ class TargetTracker:
             return report
         self.accepted += 1
         self.last_accepted_s = now_s
-        self.own = own if own is None or own == self.own else own.or_worse(self.own)
+        self.own = self.own if own in (None, self.own) else own.or_worse(self.own)
         if own is not None and own.is_reported:
             self._best_own_m = min(self._best_own_m, own.horizontal_m)
         at_s = measurement.measured_at_s
