@@ -140,7 +140,7 @@ def test_buttons_are_grey_with_the_reason_and_every_press_is_answered(
         assert_reasons(watched, {"hold": "already done", "grant": "already in control"})
         page.locator("#button-resume").click()  # ... and meanwhile the pilot takes over
         live.wishes.put(lambda: choose(live, FlightMode.HOLD))
-        expect(page.locator("#phase")).to_contain_text("pilot or another system flies")
+        expect(page.locator("#phase")).to_contain_text("pilot or another system has control")
         page.locator("#confirm-resume").click()
         page.wait_for_selector("text=RESUME refused: ")
         shot(watched, f"refused-{size['width']}")
