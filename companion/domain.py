@@ -272,7 +272,7 @@ class TargetEstimate:
 
     @property
     def absolute_covariance_m2(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """`covariance_m2` with the vehicle position's error in it; half of it is before jumps."""
+        """`covariance_m2` with the vehicle position's error; after jumps, of both positions."""
         (a, b), (c, d) = self.covariance_m2
         own_m2, (east_m, north_m) = self.own.effective_m**2, self.own.jumped_en_m
         across_m2 = 0.5 * east_m * north_m

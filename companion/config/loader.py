@@ -50,12 +50,12 @@ _OCTAL = re.compile(r"[-+]?0[0_]*[1-7]_*[0-7]")
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+|\.\.\.)\]")
 _MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
-_TYPE = re.compile(r"`(?P<names>[a-z]+(?: \| [a-z]+)*)`")
 _TYPE_WORDS = {
     **{"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"},
     **{"array": "a list", "object": "`key: value` lines", "null": "null"},
 }
 """Words for msgspec's names of types."""
+_TYPE = re.compile(r"`(?P<names>[a-z]+(?: \| [a-z]+)*)`")
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
 _MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
@@ -377,11 +377,12 @@ def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:
 
 def in_words(problem: str) -> str:
     """Return a message of msgspec with words for the names of its types."""
-
-    def words_of(match: re.Match[str]) -> str:
-        return " or ".join(_TYPE_WORDS.get(name, name) for name in match["names"].split(" | "))
-
-    return _TYPE.sub(words_of, problem.replace("Expected `", "expected `", 1))
+    return _TYPE.sub(
+        lambda types: " or ".join(
+            _TYPE_WORDS.get(name, f"`{name}`") for name in types["names"].split(" | ")
+        ),
+        problem.replace("Expected `", "expected `", 1),
+    )
 
 
 def _value_at(raw: object, path: str) -> object:

@@ -81,6 +81,21 @@ def test_an_estimate_survives_a_kill_and_is_localised_long_before_a_cold_one() -
     assert took_s[True] < 0.5 * took_s[False], took_s
 
 
+def test_a_jump_before_a_kill_stays_in_the_absolute_radius() -> None:
+    loop, _ = in_control()
+    loop.run(8.0)
+    loop.sim.vehicle.estimator.jump((15.0, -20.0, 0.0), 0.0)
+    loop.run(6.0)
+    kill_for(loop, 5.0)
+    loop.run_until(lambda: loop.said("estimate resumed"), 20.0)
+    for after_s in (0.0, 5.0):
+        loop.run(after_s)
+        estimate = loop.companion.session.estimate
+        assert estimate is not None
+        assert estimate.own.jumped_en_m == pytest.approx((15.0, -20.0), abs=1.0)
+        assert estimate.absolute_r95_m > 25.0
+
+
 @pytest.mark.parametrize(
     ("killed_after_s", "flavour"),
     [

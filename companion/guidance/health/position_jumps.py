@@ -286,15 +286,13 @@ class JumpWatch(Watch):
         sigma_m: float,
         jump_enu_m: PositionEnu = NO_STEP,
     ) -> None:
-        """Shift the estimates, and add a jump in flight to those that leave the position in doubt.
+        """Shift the estimates, and add a jump to the sum of those in flight.
 
         On the ground the navigation converges. In flight either position may be the right one.
         """
-        accuracy, trackers = (
-            self._context.vehicle.position_accuracy,
-            self._context.emitters.trackers,
-        )
-        if self._context.vehicle.is_armed:
+        vehicle, trackers = self._context.vehicle, self._context.emitters.trackers
+        accuracy = vehicle.position_accuracy
+        if vehicle.is_armed:
             east_m, north_m = accuracy.jumped_en_m
             accuracy.jumped_en_m = (east_m + jump_enu_m[0], north_m + jump_enu_m[1])
         for tracker in trackers:

@@ -198,3 +198,12 @@ def test_an_impossible_accuracy_is_no_belief(sigma_m: float) -> None:
     belief = belief_after(walk(np.random.default_rng(1), 5))
     for own in (PositionAccuracy(sigma_m, 1.0), PositionAccuracy(1.0, sigma_m)):
         assert replace(belief, own=own).problem(len(belief.places[0].mean)) is not None
+
+
+@pytest.mark.parametrize("jumped_m", [math.nan, math.inf, -1e9])
+def test_an_impossible_jump_is_no_belief(jumped_m: float) -> None:
+    belief = belief_after(walk(np.random.default_rng(1), 5))
+    for jumped_en_m in ((jumped_m, 0.0), (0.0, jumped_m)):
+        own = PositionAccuracy(1.0, 2.0, jumped_en_m=jumped_en_m)
+        problem = replace(belief, own=own).problem(len(belief.places[0].mean))
+        assert problem == "an impossible jump of the position"
