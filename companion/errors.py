@@ -44,3 +44,36 @@ a line, and halves of a character."""
 def printable(text: str) -> str:
     """Return a text with the characters escaped that a terminal would obey instead of show."""
     return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
+_MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
+_TYPE = re.compile(r"`(?P<names>[a-z]+(?: \| [a-z]+)*)`")
+_TYPE_WORDS = {
+    **{"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"},
+    **{"array": "a list", "null": "null"},
+}
+"""Words for msgspec's names of types."""
+
+
+def located(error: Exception) -> tuple[str, str]:
+    """Return the path of the value, `$` for the whole, and the problem of a decoder's error."""
+    match = _PATH.match(str(error))
+    path, problem = (match["path"], match["problem"]) if match else ("$", str(error))
+    missing = _MISSING_KEY.match(problem)
+    return (f"{path}.{missing['key']}", "required key is missing") if missing else (path, problem)
+
+
+def in_words(problem: str, an_object: str = "an object") -> str:
+    """Return a problem of `located` with words for the names of types."""
+    words = {**_TYPE_WORDS, "object": an_object}
+    return _TYPE.sub(
+        lambda types: " or ".join(words.get(n, f"`{n}`") for n in types["names"].split(" | ")),
+        problem.replace("Expected `", "expected `", 1),
+    )
+
+
+def decoding_problem(error: Exception) -> str:
+    """Return a decoder's error as one line in words, behind the path of the value."""
+    path, problem = located(error)
+    return " ".join(f"{path}: {in_words(problem)}".removeprefix("$: ").split())

@@ -25,7 +25,7 @@ from companion.config.schema import CompanionConfig
 from companion.config.search_files import read_search_site
 from companion.config.tunables import Tunables
 from companion.config.versions import renew
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.estimation.antenna import (
     ABOUT_VERTICAL,
     AntennaKind,
@@ -329,7 +329,7 @@ def facts_of_json(data: bytes) -> FlightFacts:
             renew(raw["config"], "config")
         return msgspec.convert(raw, FlightFacts, str_keys=False)
     except (msgspec.DecodeError, ValueError, RecursionError) as error:
-        raise ConfigError(f"not the facts of a flight: {error}") from error
+        raise ConfigError(f"not the facts of a flight: {decoding_problem(error)}") from error
 
 
 def with_kept_offsets(config: CompanionConfig) -> CompanionConfig:

@@ -32,7 +32,7 @@ import msgspec
 from companion.area_handoff import area_files, result_fields
 from companion.config.schema import CompanionConfig
 from companion.config.tunables import Tunables
-from companion.errors import CompanionError
+from companion.errors import CompanionError, decoding_problem
 from companion.guidance.commands import Severity
 from companion.guidance.emitters import Progress
 from companion.guidance.events import MemoryRecalled, ProcessMessage, UncleanExitFound
@@ -282,7 +282,8 @@ class ParameterKeeper:
         except OSError as error:
             log.warning("%s: cannot be read (%s)", self._path, error.strerror)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            log.warning("%s: no parameters (%s); continuing without", self._path, error)
+            problem = decoding_problem(error)
+            log.warning("%s: no parameters (%s); continuing without", self._path, problem)
         return {}
 
 

@@ -16,7 +16,7 @@ import msgspec
 from companion import __version__
 from companion.arguments import RaisingParser, number_in
 from companion.entry import ignore_broken_pipe, is_interrupt
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.io.child_processes import clock_of
 from companion.io.links.transports import Transport, parse_transport, udp_address
 from companion.io.shell import Shell
@@ -270,7 +270,9 @@ def _apply_incidents(endpoint: SimEndpoint, orders: queue.SimpleQueue[bytes], no
         try:
             endpoint.apply_incident(msgspec.json.decode(line, type=Incident), now_s)
         except (msgspec.DecodeError, ValueError) as error:
-            print(f"sim-link: {line!r} is not an incident: {error}", file=sys.stderr)
+            print(
+                f"sim-link: {line!r} is not an incident: {decoding_problem(error)}", file=sys.stderr
+            )
 
 
 def _link(text: str) -> tuple[Transport, LinkMode | None]:

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
-from companion.errors import ConfigError
+from companion.errors import ConfigError, in_words, located
 from companion.io.files import open_file
 
 T = TypeVar("T")
@@ -48,16 +48,9 @@ _UNPRINTABLE = re.compile(
 _OCTAL = re.compile(r"[-+]?0[0_]*[1-7]_*[0-7]")
 """A number in base eight that is another one in base ten."""
 _PATH_PART = re.compile(r"\.(?P<key>[^.\[]+)|\[(?P<index>\d+|\.\.\.)\]")
-_MSGSPEC_PATH = re.compile(r"^(?P<problem>.*) - at `(?P<path>\$.*)`$", re.DOTALL)
 _NAMED_KEY = re.compile(r"^(?P<key>[a-z][a-z0-9_]*(?:[.\[]\S*)?): (?P<problem>.*)$", re.DOTALL)
-_TYPE_WORDS = {
-    **{"float": "a number", "int": "a whole number", "bool": "true or false", "str": "text"},
-    **{"array": "a list", "object": "`key: value` lines", "null": "null"},
-}
-"""Words for msgspec's names of types."""
-_TYPE = re.compile(r"`(?P<names>[a-z]+(?: \| [a-z]+)*)`")
+_LINES = "`key: value` lines"
 _UNKNOWN_KEY = re.compile(r"^Object contains unknown field `(?P<key>.*)`$")
-_MISSING_KEY = re.compile(r"^Object missing required field `(?P<key>.*)`$")
 
 
 _READ_AS_OTHERS = {
@@ -165,7 +158,7 @@ def parse_yaml(text: str, kind: type[T], name: str, renew: Renew | None = None) 
     if raw is None:
         raw = {}
     if not isinstance(raw, dict):
-        raise ConfigError(f"{name}: $: expected `key: value` lines, got {_kind_of(raw)}")
+        raise ConfigError(f"{name}: $: expected {_LINES}, got {_kind_of(raw)}")
     problems = _strange_values(raw, "$", set())
     if renew is not None:
         renew(raw)
@@ -214,7 +207,7 @@ def _convert(raw: object, kind: type[T]) -> T | _Problem:
     try:
         return msgspec.convert(raw, kind, strict=True)
     except msgspec.ValidationError as error:
-        return _located(str(error), raw, kind)
+        return _located(error, raw, kind)
     except OverflowError:
         return _Problem("$", "a number is too large")
     except RecursionError:
@@ -257,18 +250,12 @@ def _parse(text: str, name: str) -> object:
         raise ConfigError(f"{name}: {_one_line(str(error))}") from None
 
 
-def _located(text: str, raw: object, kind: type) -> _Problem:
-    """Return path and problem of msgspec's message `problem - at `$.path``, with advice."""
-    path = "$"
-    match = _MSGSPEC_PATH.match(text)
-    if match:
-        text, path = match["problem"], match["path"]
-    unknown, missing = _UNKNOWN_KEY.match(text), _MISSING_KEY.match(text)
-    if unknown:
+def _located(error: Exception, raw: object, kind: type) -> _Problem:
+    """Return path and problem of a msgspec error, with advice."""
+    path, text = located(error)
+    if unknown := _UNKNOWN_KEY.match(text):
         problem = _on_unknown_key(kind, path, unknown["key"])
         return _Problem(f"{path}.{_one_line(unknown['key'])}", problem)
-    if missing:
-        return _Problem(f"{path}.{missing['key']}", "required key is missing")
     named = _NAMED_KEY.match(text)  # a record's own error about one of its keys
     if named:
         return _Problem(f"{path}.{named['key']}", _one_line(named["problem"]))
@@ -302,7 +289,7 @@ def _strange_values(value: object, path: str, seen: set[int]) -> list[_Problem]:
 def _kind_of(value: object) -> str:
     """Return a plain value as an error shows it."""
     if isinstance(value, list | dict):
-        return _TYPE_WORDS["array" if isinstance(value, list) else "object"]
+        return "a list" if isinstance(value, list) else _LINES
     if isinstance(value, str):
         return f"text: {value if len(value) <= SHOWN else f'{value[:SHOWN]}...'}"
     return "null" if value is None else str(value).lower()
@@ -372,17 +359,8 @@ def _on_wrong_value(kind: type, path: str, problem: str, value: object) -> str:
     if choices and problem.startswith(("Invalid enum value", "Expected `str")):
         return f"{_kind_of(value).removeprefix('text: ')} is none of {', '.join(choices)}"
     wanted, got, name = problem.partition(", got `")
-    return in_words(f"{wanted}, got {_kind_of(value)}" if got and name.endswith("`") else problem)
-
-
-def in_words(problem: str) -> str:
-    """Return a message of msgspec with words for the names of its types."""
-    return _TYPE.sub(
-        lambda types: " or ".join(
-            _TYPE_WORDS.get(name, f"`{name}`") for name in types["names"].split(" | ")
-        ),
-        problem.replace("Expected `", "expected `", 1),
-    )
+    shown = f"{wanted}, got {_kind_of(value)}" if got and name.endswith("`") else problem
+    return in_words(shown, _LINES)
 
 
 def _value_at(raw: object, path: str) -> object:

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from companion.config.schema import CompanionConfig, inconsistency
-from companion.errors import ConfigError
+from companion.errors import ConfigError, in_words, located
 from companion.guidance.commands import Tuning, When
 from companion.link.gcs_services import TunableSpec
 from companion.mav.payloads import ParamType, nearest_real32
@@ -151,7 +151,7 @@ def _with_value(config: CompanionConfig, tunable: Tunable, value: float) -> Comp
     try:
         changed = msgspec.convert(raw, CompanionConfig, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(str(error).partition(" - at ")[0]) from None
+        raise ConfigError(in_words(located(error)[1])) from None
     problem = inconsistency(changed)
     if problem is not None:
         raise ConfigError(problem)

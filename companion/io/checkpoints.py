@@ -31,7 +31,7 @@ from typing import TypeVar
 import msgspec
 
 from companion.domain import Autopilot
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.guidance.events import SessionMemory, VehicleMark
 from companion.io.files import BackgroundReplacer, open_file, read_bytes, write_json_atomic
 
@@ -125,7 +125,7 @@ def _decode(payload: bytes, kind: type[T]) -> T:
     try:
         return msgspec.msgpack.decode(payload, type=kind, strict=True)
     except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError) as error:
-        raise CheckpointError(f"of another version ({' '.join(str(error).split())})") from None
+        raise CheckpointError(f"of another version ({decoding_problem(error)})") from None
 
 
 def age_s(then: Moment, now: Moment) -> float | None:
@@ -280,7 +280,9 @@ def kept_offsets(directory: Path) -> dict[str, KeptOffset]:
     except FileNotFoundError:
         return {}
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: {error}; delete it and calibrate again") from None
+        raise ConfigError(
+            f"{path}: {decoding_problem(error)}; delete it and calibrate again"
+        ) from None
 
 
 def keep_offset(directory: Path, key: str, offset: KeptOffset) -> Path:

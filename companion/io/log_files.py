@@ -25,7 +25,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from companion.errors import ConfigError
+from companion.errors import ConfigError, decoding_problem
 from companion.guidance import events
 from companion.guidance.commands import Severity
 from companion.io.checkpoints import CheckpointError, decode_memory, encode_memory
@@ -385,7 +385,7 @@ def event_of(value: Input) -> events.Event:
                 mark = msgspec.msgpack.decode(data, type=events.VehicleMark) if data else None
             except msgspec.MsgspecError as error:
                 raise ConfigError(
-                    f"the vehicle of the earlier run at {now_s} s: {error}"
+                    f"the vehicle of the earlier run at {now_s} s: {decoding_problem(error)}"
                 ) from error
             return events.UncleanExitFound(now_s, mark)
         case InputKind.RECALL:
@@ -427,7 +427,7 @@ def event_lines(path: Path, on_damage: OnDamage | None = None) -> list[dict[str,
             if on_damage is not None:
                 on_damage(number)
             elif number < len(lines):
-                raise ConfigError(f"{path}: line {number}: {error}") from error
+                raise ConfigError(f"{path}: line {number}: {decoding_problem(error)}") from error
     return values
 
 

@@ -20,7 +20,7 @@ from typing import TypeAlias
 import msgspec
 
 from companion.domain import PositionEnu
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.geometry.coordinates import LocalOrigin, Projection
 from companion.io.files import OnDamage, open_file
 
@@ -206,9 +206,8 @@ def read_radio_recording(
     try:
         header = _header_decoder.decode(line)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(
-            f"{path}: line {number}: no header of a radio recording: {error}"
-        ) from None
+        problem = f"no header of a radio recording: {decoding_problem(error)}"
+        raise ConfigError(f"{path}: line {number}: {problem}") from None
     if header.version > VERSION:
         raise ConfigError(
             f"{path}: line 1: a recording of version {header.version}, and this companion reads "
@@ -229,7 +228,7 @@ def _records(
             if not line.endswith(b"\n"):
                 return  # the power was cut while it was written
             if on_damage is None:
-                raise ConfigError(f"{path}: line {number}: {error}") from None
+                raise ConfigError(f"{path}: line {number}: {decoding_problem(error)}") from None
             on_damage(number)
         else:
             yield record

@@ -32,7 +32,7 @@ from companion.domain import (
     RangingMeasurement,
     TargetEstimate,
 )
-from companion.errors import ConfigError
+from companion.errors import ConfigError, decoding_problem
 from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
@@ -239,7 +239,7 @@ def stated_accuracy(path: Path) -> WalkAccuracy:
     except OSError as error:
         raise ConfigError(f"{beside}: beside the walk: cannot be read ({error.strerror})") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{beside}: beside the walk: {error}") from error
+        raise ConfigError(f"{beside}: beside the walk: {decoding_problem(error)}") from None
 
 
 def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:

@@ -18,7 +18,7 @@ import msgspec
 
 from companion.area_handoff import GEOJSON, PNG, RECORD, TEXT, area_files, geojson_of, result_fields
 from companion.domain import PositionAccuracy, radii_text
-from companion.errors import ConfigError
+from companion.errors import ConfigError, decoding_problem
 from companion.geometry.coordinates import LocalOrigin
 from companion.geometry.polygons import Point
 from companion.guard.gate import GuardReason
@@ -238,7 +238,8 @@ def read_searched(flight: Path) -> SearchedFlight:
     try:
         return msgspec.json.decode(read_file(path), type=SearchedFlight)
     except (msgspec.DecodeError, ValueError) as error:
-        raise ConfigError(f"{path}: not a record of a searched area: {error}") from error
+        problem = f"not a record of a searched area: {decoding_problem(error)}"
+        raise ConfigError(f"{path}: {problem}") from error
 
 
 def combined_state(flights: list[SearchedFlight], path: Path) -> SearchState | None:

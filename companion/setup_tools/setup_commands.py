@@ -38,7 +38,7 @@ from companion.config.schema import CompanionConfig, load_config
 from companion.config.versions import KEY, SCHEMA_VERSION, renew
 from companion.doctor.examination import exit_code, run_doctor
 from companion.doctor.findings import CheckResult, as_lines, fail
-from companion.errors import CompanionError, ConfigError
+from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.flight_setup import flight_links
 from companion.io.files import read_bytes, read_file, write_bytes_atomic
 from companion.io.links.transports import SerialPort, Transport, check_exposure
@@ -130,7 +130,9 @@ def _record(directory: Path) -> SetupRecord | None:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: is not what a setup wrote ({error})") from None
+        raise ConfigError(
+            f"{path}: is not what a setup wrote ({decoding_problem(error)})"
+        ) from None
 
 
 def _keep_what_was_there(path: Path, files: Mapping[str, str]) -> list[Path]:

@@ -40,7 +40,7 @@ import yaml
 from companion.arguments import number_in
 from companion.config.loader import load_yaml
 from companion.domain import FlightMode
-from companion.errors import ConfigError
+from companion.errors import ConfigError, decoding_problem
 from companion.io.links.transports import UdpBind, UdpConnect, udp_address
 from companion.io.shell import Clock, Shell
 from companion.mav.codec import CRC_EXTRA_BY_ID, MavCodec, frame_crc, message_id, without_signature
@@ -392,8 +392,7 @@ def _schedule(texts: list[str], path: Path | None) -> faults.Schedule:
         try:
             found.append(faults.fault_from(yaml.safe_load(text)))
         except (yaml.YAMLError, msgspec.ValidationError) as error:
-            problem = " ".join(str(error).split())
-            raise ConfigError(f"--fault {text!r}: {problem}") from None
+            raise ConfigError(f"--fault {text!r}: {decoding_problem(error)}") from None
     for fault in found:
         if not isinstance(fault, faults.LinkFault | faults.ContentFault | faults.SecurityFault):
             kind = fault.__struct_config__.tag

@@ -346,11 +346,19 @@ def test_no_standard_deviation_is_refused_by_its_line(
         list(read_walk(path))
 
 
-@pytest.mark.parametrize("text", ['{"own_sigma_m": -1}', '{"own_sigma_m": "1"}', "[]", "{"])
-def test_a_file_beside_that_says_nonsense_is_named(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('{"own_sigma_m": -1}', r"\$\.own_sigma_m: expected a number >= 0.0"),
+        ('{"own_sigma_m": "1"}', r"\$\.own_sigma_m: expected a number or null, got text"),
+        ("[]", "expected an object, got a list"),
+        ("{", "Input data was truncated"),
+    ],
+)
+def test_a_file_beside_that_says_nonsense_is_named(tmp_path: Path, text: str, problem: str) -> None:
     path = write_walk(tmp_path / "w.csv", circle(3))
     (tmp_path / "w.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"w\.json: beside the walk"):
+    with pytest.raises(ConfigError, match=rf"w\.json: beside the walk: {problem}$"):
         list(read_walk(path))
 
 

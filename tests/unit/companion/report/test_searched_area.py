@@ -98,7 +98,7 @@ def test_flights_are_shown_and_combined(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (b"{}", "not a record of a searched area"),
+        (b"{}", "not a record of a searched area: $.began_unix_s: required key is missing"),
         (b"\xff", "not a record of a searched area"),
         (None, "has no searched_area.json"),
     ],
