@@ -9,6 +9,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable, Sequence
+from pkgutil import resolve_name
 from typing import TypeAlias
 
 from companion.arguments import argument_parser, check_order_of_options
@@ -16,6 +17,20 @@ from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED, CompanionError
 from companion.view.log_lines import set_up_logging
 
 Command: TypeAlias = Callable[[argparse.Namespace], int]
+FLY = "companion.flight_commands:fly_vehicle"
+COMMANDS = {
+    "demo": "companion.flight_commands:fly_demo",
+    "replay": "companion.replay.replay_commands:run",
+    "report": "companion.report.page:run",
+    "area": "companion.report.flight_summary:run",
+    "doctor": "companion.doctor.examination:run",
+    "radio": "companion.radio_tools.radio_commands:run",
+    "config": "companion.setup_tools.config_commands:run",
+    "setup": "companion.setup_tools.setup_commands:run",
+    "tiles": "companion.setup_tools.config_commands:run_tiles",
+    "warm-up": "companion.flight_commands:warm_up",
+}
+"""Function of each subcommand, a `Command`."""
 
 
 def main(argv: Sequence[str] | None = None, on_loaded: Callable[[], object] = lambda: None) -> int:
@@ -43,84 +58,6 @@ def _run(argv: Sequence[str] | None, on_loaded: Callable[[], object]) -> int:
     arguments = argument_parser().parse_args(argv)
     set_up_logging(quiet=arguments.quiet)
     check_order_of_options(arguments)
-    loaders = {
-        "demo": _demo,
-        "replay": _replay,
-        "report": _report,
-        "area": _area,
-        "doctor": _doctor,
-        "radio": _radio,
-        "config": _config,
-        "setup": _setup,
-        "tiles": _tiles,
-        "warm-up": _warm_up,
-    }
-    command = loaders.get(arguments.command, _fly)()
+    command: Command = resolve_name(COMMANDS.get(arguments.command, FLY))
     on_loaded()
     return command(arguments)
-
-
-def _fly() -> Command:
-    from companion.flight_commands import fly_vehicle
-
-    return fly_vehicle
-
-
-def _demo() -> Command:
-    from companion.flight_commands import fly_demo
-
-    return fly_demo
-
-
-def _replay() -> Command:
-    from companion.replay.replay_commands import run
-
-    return run
-
-
-def _report() -> Command:
-    from companion.report.page import run
-
-    return run
-
-
-def _area() -> Command:
-    from companion.report.flight_summary import run
-
-    return run
-
-
-def _doctor() -> Command:
-    from companion.doctor.examination import run
-
-    return run
-
-
-def _radio() -> Command:
-    from companion.radio_tools.radio_commands import run
-
-    return run
-
-
-def _config() -> Command:
-    from companion.setup_tools.config_commands import run
-
-    return run
-
-
-def _setup() -> Command:
-    from companion.setup_tools.setup_commands import run
-
-    return run
-
-
-def _tiles() -> Command:
-    from companion.setup_tools.config_commands import run_tiles
-
-    return run_tiles
-
-
-def _warm_up() -> Command:
-    from companion.flight_commands import warm_up
-
-    return warm_up

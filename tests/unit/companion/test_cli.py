@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import os
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
-from companion.cli import main
+from companion.cli import COMMANDS, FLY, main
 from companion.errors import EXIT_BAD_INPUT
 from companion.guidance.commands import Severity
 from companion.io.flight_recorder import BlackBox
@@ -161,3 +162,15 @@ def test_tiles_of_demo_and_replay_are_looked_at_first(
 ) -> None:
     line = complaint(capsys, *command, "--web", "8080", "--web-tiles", str(tmp_path))
     assert "contains no tiles" in line
+
+
+@pytest.mark.parametrize("function", [FLY, *COMMANDS.values()])
+def test_each_subcommand_has_its_function(function: str) -> None:
+    assert callable(resolve_name(function))
+
+
+@pytest.mark.parametrize("subcommand", COMMANDS)
+def test_each_subcommand_has_arguments(subcommand: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main((subcommand, "--help"))
+    assert f"companion {subcommand} " in capsys.readouterr().out

@@ -305,7 +305,7 @@ def test_remove_keeps_files_changed_by_the_user(
 
 
 def test_a_flight_loads_nothing_of_it() -> None:
-    code = "import sys, companion.cli; companion.cli._fly(); print(*sys.modules)"
+    code = "import sys, companion.cli as cli; cli.resolve_name(cli.FLY); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name for name in done.stdout.split() if name.startswith("companion.")}
     assert "companion.arguments" in loaded
