@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 from companion.config.radios import RadioConfig, radio_setup
@@ -28,7 +27,6 @@ from companion.doctor.findings import (
     ok,
     warn,
 )
-from companion.domain import Autopilot
 from companion.errors import CompanionError
 from companion.geometry.coordinates import LocalOrigin
 from companion.guidance.events import AutopilotFenceRead
@@ -36,7 +34,12 @@ from companion.guidance.vehicle import mode_name
 from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.link import outbound
-from companion.link.autopilot_fence import FenceDownload, hears_transmitter
+from companion.link.autopilot_fence import (
+    FenceDownload,
+    ParameterRequests,
+    hears_transmitter,
+    value_of,
+)
 from companion.link.autopilot_queries import STREAM_INTERVAL_S, StreamFreshness, StreamRequester
 from companion.link.binding import AutopilotBinding
 from companion.link.conversion.clock_sync import ClockSync
@@ -50,7 +53,7 @@ from companion.mav.codec import MavCodec, sender_of
 from companion.mav.dialect import MAVLink_ekf_status_report_message, Message, mavlink
 from companion.mav.endpoint import Chunk, OneShotEndpoint
 from companion.mav.flight_modes import autopilot_of, class_of, mode_of, other_mode_name
-from companion.mav.payloads import ParamEncoding, ParamType, raw_of, value_from_raw
+from companion.mav.payloads import name_of
 
 HEARTBEAT_PERIOD_S = 1.0
 TIMEOUT_S = 10.0
@@ -62,19 +65,6 @@ PARAMETER_TRIES = 4
 HEARTBEAT_HZ = 1.0
 M = TypeVar("M", bound=Message)
 NAMES = {number: mavlink.mavlink_map[number].msgname for number in STREAM_INTERVAL_S}
-
-
-@dataclass(slots=True)
-class _ParameterRequest:
-    name: str
-    value: float | None = None
-    tries: int = 0
-    next_s: float = 0.0
-
-    @property
-    def is_open(self) -> bool:
-        """True while the parameter is unanswered and may be requested again."""
-        return self.value is None and self.tries < PARAMETER_TRIES
 
 
 class DoctorProbe(OneShotEndpoint):
@@ -100,7 +90,9 @@ class DoctorProbe(OneShotEndpoint):
         self._streams = StreamRequester(self._freshness)
         self._clock = ClockSync()
         self._sequence = SequenceMonitor()
-        self._requests: list[_ParameterRequest] = []
+        self._names: tuple[str, ...] = ()
+        """Parameters that the autopilot is asked for."""
+        self._parameters = ParameterRequests(PARAMETER_RETRY_S, PARAMETER_TRIES)
         self._fence_fetch = FenceDownload()
         self._fence: AutopilotFenceRead | None = None
         self._counts: Counter[str] = Counter()
@@ -141,7 +133,7 @@ class DoctorProbe(OneShotEndpoint):
         for question in (
             self._streams.due(now_s, (system_id, component_id), self._binding.autopilot),
             self._clock.due(now_s, system_id, component_id),
-            self._next_request(now_s, system_id, component_id),
+            self._parameters.due(self._names, now_s, (system_id, component_id)),
             self._fence_fetch.due(now_s, (system_id, component_id), is_wanted=self._fence is None),
         ):
             if question is not None:
@@ -156,7 +148,7 @@ class DoctorProbe(OneShotEndpoint):
         if self._bound_s is None:
             return self._began_s is not None and self.now_s - self._began_s > TIMEOUT_S
         is_counted = self.now_s - self._bound_s >= SETTLE_S + self._count_s
-        is_answered = not any(question.is_open for question in self._requests)
+        is_answered = not any(map(self._parameters.is_open, self._names))
         return is_counted and is_answered and self._fence is not None
 
     # What was found
@@ -195,7 +187,7 @@ class DoctorProbe(OneShotEndpoint):
             mode=mode_name(mode, binding.autopilot, other),
             is_armed=bool(heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
             rates=self._rates(),
-            parameters={question.name: question.value for question in self._requests},
+            parameters={name: self._parameters.values.get(name) for name in self._names},
             has_rc=self._has_rc(),
             heard=frozenset(newest) - {name for name, is_empty in empty.items() if is_empty},
             origin=self._origin(),
@@ -256,36 +248,14 @@ class DoctorProbe(OneShotEndpoint):
         if self._bound_s is not None and now_s >= self._bound_s + SETTLE_S:
             self._counts[name] += 1
         if isinstance(message, mavlink.MAVLink_param_value_message):
-            self._take_parameter(message)
+            parameter, value = name_of(message), value_of(message, self._binding.autopilot)
+            if parameter in self._names and value is not None:
+                self._parameters.values[parameter] = value
 
     def _begin(self, now_s: float) -> None:
         self._bound_s = now_s
         self._codec.system_id = self._binding.system_id or 1
-        names = needed_parameters(self._binding.autopilot)
-        self._requests = [_ParameterRequest(name) for name in names]
-
-    def _next_request(self, now_s: float, system_id: int, component_id: int) -> Message | None:
-        for question in self._requests:
-            if question.is_open and now_s >= question.next_s:
-                question.tries += 1
-                question.next_s = now_s + PARAMETER_RETRY_S
-                return mavlink.MAVLink_param_request_read_message(
-                    system_id, component_id, question.name.encode(), -1
-                )
-        return None
-
-    def _take_parameter(self, message: mavlink.MAVLink_param_value_message) -> None:
-        raw: bytes | str = message.param_id  # annotated as str, decoded as bytes
-        name = (raw if isinstance(raw, str) else raw.decode("ascii", "replace")).rstrip("\0")
-        is_cast = self._binding.autopilot is Autopilot.ARDUPILOT
-        encoding = ParamEncoding.C_CAST if is_cast else ParamEncoding.BYTEWISE
-        try:
-            kind = ParamType(message.param_type)
-        except ValueError:
-            return
-        for question in self._requests:
-            if question.name == name:
-                question.value = value_from_raw(raw_of(message), kind, encoding)
+        self._names = needed_parameters(self._binding.autopilot)
 
     def _send(self, message: Message) -> None:
         data = self._codec.encode(message)

@@ -35,7 +35,6 @@ COM_OBL_RC_ACT; MAVLink guide, "Parameter Protocol", for integers sent bytewise 
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import get_args
@@ -313,10 +312,43 @@ NAMES = {
 }
 ALTITUDE_MAX, CIRCLE, ALTITUDE_MIN = 1, 2, 8
 """Bits of FENCE_TYPE."""
-KINDS = frozenset(int(kind) for kind in ParamType)
 PARAMETER_RESEND_S = 1.0
 PARAMETER_TRIES = 8
 """Requests of each; an autopilot without such a parameter does not answer."""
+
+
+class ParameterRequests:
+    """Requests for parameters by name, each repeated a few times until its value is known."""
+
+    def __init__(self, period_s: float, tries: int) -> None:
+        self._period_s = period_s
+        self._tries = tries
+        self._asked: dict[str, tuple[int, float]] = {}
+        """Number of requests for each, and time of its next one."""
+        self.values: dict[str, float] = {}
+
+    def is_open(self, name: str) -> bool:
+        """Return True while a parameter is unanswered and may be requested again."""
+        return name not in self.values and self._asked.get(name, (0, 0.0))[0] < self._tries
+
+    def due(self, names: Sequence[str], now_s: float, target: Ids) -> Message | None:
+        """Return the next request to send, if any."""
+        for name in names:
+            tries, next_s = self._asked.get(name, (0, -math.inf))
+            if self.is_open(name) and now_s >= next_s:
+                self._asked[name] = (tries + 1, now_s + self._period_s)
+                return mavlink.MAVLink_param_request_read_message(*target, name.encode(), -1)
+        return None
+
+
+def value_of(message: mavlink.MAVLink_param_value_message, autopilot: Autopilot) -> float | None:
+    """Return the value in an autopilot's PARAM_VALUE; None if its type is unknown."""
+    is_px4 = autopilot is Autopilot.PX4
+    encoding = ParamEncoding.BYTEWISE if is_px4 else ParamEncoding.C_CAST
+    try:
+        return value_from_raw(raw_of(message), ParamType(message.param_type), encoding)
+    except ValueError:
+        return None
 
 
 class FenceParameters:
@@ -327,41 +359,27 @@ class FenceParameters:
 
     def restart(self) -> None:
         """Start again after a restart of the autopilot, maybe with other parameters."""
-        self._values: dict[str, float] = {}
-        self._asked: dict[str, tuple[int, float]] = {}
-        """Number and time of the requests for each."""
+        self._requests = ParameterRequests(PARAMETER_RESEND_S, PARAMETER_TRIES)
 
-    def due(self, now_s: float, autopilot: Autopilot, target: tuple[int, int]) -> Message | None:
+    def due(self, now_s: float, autopilot: Autopilot, target: Ids) -> Message | None:
         """Return the next request to send, if any."""
-        for name in NAMES.get(autopilot, ()):
-            tries, asked_s = self._asked.get(name, (0, -math.inf))
-            is_open = name not in self._values and tries < PARAMETER_TRIES
-            if not is_open or now_s - asked_s < PARAMETER_RESEND_S:
-                continue
-            self._asked[name] = (tries + 1, now_s)
-            return mavlink.MAVLink_param_request_read_message(*target, name.encode(), -1)
-        return None
+        return self._requests.due(NAMES.get(autopilot, ()), now_s, target)
 
     def receive(self, message: Message, autopilot: Autopilot) -> bool:
         """Process a message of the autopilot; return True if its limits changed."""
         if not isinstance(message, mavlink.MAVLink_param_value_message):
             return False
-        name = name_of(message)
-        if name not in NAMES.get(autopilot, ()) or message.param_type not in KINDS:
-            return False
-        is_px4 = autopilot is Autopilot.PX4
-        encoding = ParamEncoding.BYTEWISE if is_px4 else ParamEncoding.C_CAST
-        value = value_from_raw(raw_of(message), ParamType(message.param_type), encoding)
-        if not math.isfinite(value):
+        name, value = name_of(message), value_of(message, autopilot)
+        if name not in NAMES.get(autopilot, ()) or value is None or not math.isfinite(value):
             return False
         before = self.limits
-        self._values[name] = value
+        self._requests.values[name] = value
         return self.limits != before
 
     @property
     def limits(self) -> FenceLimits:
         """Limits by the parameters reported so far."""
-        values = self._values
+        values = self._requests.values
         return _of_px4(values) if "GF_ACTION" in values else _of_ardupilot(values)
 
 
@@ -408,32 +426,25 @@ class Px4FailsafeCheck:
     """Check of PX4's reaction to lost setpoints: reads the parameter, and warns once."""
 
     def __init__(self) -> None:
-        self._asks = 0
-        self._next_s = 0.0
-        self._action: int | None = None
+        self._requests = ParameterRequests(ASK_PERIOD_S, ASKS)
         self._has_rc: bool | None = None
         self._is_done = False
 
-    def due(
-        self, now_s: float, autopilot: Autopilot, system_id: int, component_id: int
-    ) -> Message | None:
+    def due(self, now_s: float, autopilot: Autopilot, target: Ids) -> Message | None:
         """Return the request to send now, if any; after a few tries silence is accepted."""
-        is_needed = autopilot is Autopilot.PX4 and self._action is None and self._asks < ASKS
-        if not is_needed or now_s < self._next_s:
-            return None
-        self._asks += 1
-        self._next_s = now_s + ASK_PERIOD_S
-        name = PARAMETER.encode("ascii")
-        return mavlink.MAVLink_param_request_read_message(system_id, component_id, name, -1)
+        names = (PARAMETER,) if autopilot is Autopilot.PX4 else ()
+        return self._requests.due(names, now_s, target)
 
     def receive(self, message: Message) -> str | None:
         """Process a message of the autopilot; return the warning, once, or None."""
         if isinstance(message, mavlink.MAVLink_param_value_message):
             if name_of(message) == PARAMETER:
-                self._action = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+                raw, kind = raw_of(message), ParamType.INT32
+                self._requests.values[PARAMETER] = value_from_raw(raw, kind, ParamEncoding.BYTEWISE)
         elif isinstance(message, mavlink.MAVLink_sys_status_message):
             self._has_rc = hears_transmitter(message)
-        if self._is_done or self._action is None or self._has_rc is None:
+        action = self._requests.values.get(PARAMETER)
+        if self._is_done or action is None or self._has_rc is None:
             return None
         self._is_done = True
-        return WARNING if self._action == 0 and not self._has_rc else None
+        return WARNING if action == 0 and not self._has_rc else None

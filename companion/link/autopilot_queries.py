@@ -371,7 +371,7 @@ class AutopilotQueries:
         request = request or self._streams.due(now_s, ids, autopilot, is_mode_wanted=is_mode_wanted)
         if request is None and self.stopper is not None:
             request = self.stopper.due(now_s, ids)
-        request = request or self._px4_check.due(now_s, autopilot, *ids)
+        request = request or self._px4_check.due(now_s, autopilot, ids)
         request = request or self.modes.due(now_s, autopilot, ids)
         if request is None and binding.hardware.is_due(now_s):
             request = request_message(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, ids)

@@ -55,11 +55,11 @@ def test_another_parameter_says_nothing() -> None:
 
 def test_an_autopilot_that_does_not_answer_is_asked_three_times() -> None:
     check = Px4FailsafeCheck()
-    asked = [check.due(0.5 * tick, Autopilot.PX4, 1, 1) for tick in range(100)]
+    asked = [check.due(0.5 * tick, Autopilot.PX4, (1, 1)) for tick in range(100)]
     assert len([message for message in asked if message is not None]) == 3
     answered = Px4FailsafeCheck()
-    answered.receive(parameter(5))
-    assert answered.due(0.0, Autopilot.PX4, 1, 1) is None
+    answered.receive(over_the_wire(parameter(5)))
+    assert answered.due(0.0, Autopilot.PX4, (1, 1)) is None
 
 
 def test_ardupilot_is_not_asked() -> None:
