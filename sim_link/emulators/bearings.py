@@ -110,15 +110,17 @@ class Kraken(Emulator):
         self._found: dict[int, KrakenDirection] = {}
 
     def encode(self, asked: Round) -> bytes:
-        """Return the whole table."""
-        self._update(asked)
-        return "".join(found.row + " \n" for found in self._found.values()).encode()
-
-    def _update(self, asked: Round) -> None:
+        """Return the whole document."""
         for answer in asked.heard:
             if answer.azimuth_rad is not None:
                 found = self._direction(answer, asked)
                 self._found[found.frequency_hz] = found
+        epoch_ms = self.device_ms(asked.sent_at_s)
+        return "".join(self.text_of(each, epoch_ms) for each in self._found.values()).encode()
+
+    def text_of(self, found: KrakenDirection, epoch_ms: int) -> str:  # noqa: ARG002
+        """Return the part of the document for a direction; the suite stamps it with the time."""
+        return f"{found.row} \n"
 
     def _direction(self, answer: Answer, asked: Round) -> KrakenDirection:
         """Return the result; its time is the end, half the latency after the middle."""
@@ -148,28 +150,19 @@ class KrakenSuite(Kraken):
     name = "kraken_suite"
     title = "KrakenSDR suite of 2026, DOA_value.html"
 
-    def encode(self, asked: Round) -> bytes:
-        """Return the whole table with the current time."""
-        self._update(asked)
-        epoch_ms = self.device_ms(asked.sent_at_s)
-        return "".join(
-            f"{_suite_row(found, epoch_ms)} \n" for found in self._found.values()
-        ).encode()
-
-
-def _suite_row(found: KrakenDirection, epoch_ms: int) -> str:
-    """Return a row whose spectrum has the same noise as its result."""
-    bearing_deg = (360 - found.theta_deg) % 360
-    noise = np.random.default_rng(found.epoch_ms).uniform(0.0, 0.05, len(RING))
-    spectrum = ", ".join(
-        f"{10.0 * float(level) + extra:.2f}" for level, extra in zip(RING, noise, strict=True)
-    )
-    head = (
-        f"{epoch_ms}, {bearing_deg}, {found.confidence / MAX_CONFIDENCE:.2f}, "
-        f"{found.power_db:.1f}, "
-        f"{found.frequency_hz}, {found.array}, 0, {STATION}"
-    )
-    return f"{head}, 0.000000, 0.000000, 0.0, 0.0, Compass, R, R, R, R, {spectrum}"
+    def text_of(self, found: KrakenDirection, epoch_ms: int) -> str:
+        """Return a row whose spectrum has the same noise as its result."""
+        bearing_deg = (360 - found.theta_deg) % 360
+        noise = np.random.default_rng(found.epoch_ms).uniform(0.0, 0.05, len(RING))
+        spectrum = ", ".join(
+            f"{10.0 * float(level) + extra:.2f}" for level, extra in zip(RING, noise, strict=True)
+        )
+        head = (
+            f"{epoch_ms}, {bearing_deg}, {found.confidence / MAX_CONFIDENCE:.2f}, "
+            f"{found.power_db:.1f}, "
+            f"{found.frequency_hz}, {found.array}, 0, {STATION}"
+        )
+        return f"{head}, 0.000000, 0.000000, 0.0, 0.0, Compass, R, R, R, R, {spectrum} \n"
 
 
 class KrakenXml(Kraken):
@@ -180,10 +173,9 @@ class KrakenXml(Kraken):
     document = "/doa.xml"
     most = 1
 
-    def encode(self, asked: Round) -> bytes:
+    def text_of(self, found: KrakenDirection, epoch_ms: int) -> str:  # noqa: ARG002
         """Return the whole document."""
-        self._update(asked)
-        return "".join(found.xml for found in self._found.values()).encode()
+        return found.xml
 
 
 def frequency_hz(emitter_id: int) -> int:

@@ -37,10 +37,15 @@ def esp_log(level: str, clock_ms: int | None, text: str, *, is_coloured: bool = 
     return f"\x1b[0;{colour}m{line}\x1b[0m" if is_coloured else line
 
 
-def esp_estimate(range_m: float) -> str:
-    """Format the line of the station example: whole nanoseconds, centimetres."""
+def ftm_estimate(range_m: float) -> tuple[int, int]:
+    """Return the centimetres and whole nanoseconds that esp-idf's estimate holds."""
     cm = clamped(100.0 * range_m, 0, U32 - 1)
-    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    return cm, int(1e9 * round_trip_s(cm / 100.0))
+
+
+def esp_estimate(range_m: float) -> str:
+    """Format the line of the station example."""
+    cm, rtt_ns = ftm_estimate(range_m)
     return (
         f"ftm_station: Estimated RTT - {rtt_ns} nSec, "
         f"Estimated Distance - {cm // 100}.{cm % 100:02d} meters"
@@ -98,8 +103,7 @@ class Esp32Ftm(LineEmulator):
 
 def arduino_estimate(range_m: float) -> str:
     """Format the line of the Arduino example."""
-    cm = clamped(100.0 * range_m, 0, U32 - 1)
-    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    cm, rtt_ns = ftm_estimate(range_m)
     return f"FTM Estimate: Distance: {cm / 100.0:.2f} m, Return Time: {rtt_ns} ns"
 
 
@@ -121,8 +125,7 @@ class Esp32Arduino(RangeLines):
 
 def gtec_row(anchor_id: int, range_m: float, frames: Sequence[tuple[int, int]]) -> str:
     """Return anchor, estimated and raw round trip in ns, centimetres, and ps, dBm per frame."""
-    cm = clamped(100.0 * range_m, 0, U32 - 1)
-    rtt_ns = int(1e9 * round_trip_s(cm / 100.0))
+    cm, rtt_ns = ftm_estimate(range_m)
     row = f"{anchor_id},{rtt_ns},{rtt_ns},{cm},{len(frames)},"
     return row + "".join(f"{rtt_ps},{rssi},0,0,0,0," for rtt_ps, rssi in frames)
 
