@@ -138,7 +138,7 @@ class ProcessDiagnostics:
         missed = round((self._timing.late_total_s - self._late_total_s) / TICK_S)
         self._late_total_s = self._timing.late_total_s
         if missed > MISSED_TICKS:
-            text = f"the computer is too slow: {missed} control ticks missed in 10 s"
+            text = f"computer too slow: {missed} control ticks missed in 10 s"
             self._announce(Severity.WARNING, text, now_s)
         self._journal.record("process", self._record(), now_s)
         self._timing.worst_late_s = 0.0

@@ -28,6 +28,8 @@ UNMONITORED = (Phase.LAUNCHING, Phase.FINISHED, Phase.HANDBACK)
 """Phases that send setpoints but ignore the findings."""
 TRACK_STEP_M = 0.5
 """Minimum distance between logged positions: a hovering vehicle wanders by as much."""
+NO_FAULTS = frozenset({Reason.CHECKING, Reason.NO_RANGING_YET, Reason.RANGING_IS_BACK})
+"""Reasons to wait whose end needs no words."""
 SILENCE_S = 0.3
 """Longest pause of the setpoints after which they continue; after a longer one the first setpoint
 is the vehicle's position, because it may have moved."""
@@ -172,7 +174,7 @@ class ControlTick:
                 context.warn(f"setpoints stopped: {missing.text}")
             elif vehicle.is_ours:
                 mode = vehicle.guided_name
-                context.warn(f"setpoints stopped: autopilot stays in {mode}; choose a mode")
+                context.warn(f"setpoints stopped in {mode}: choose a mode")
 
     def _unready(self, now_s: float) -> Finding | None:
         """Return a finding about inputs that only control needs, or None."""
@@ -224,7 +226,7 @@ class ControlTick:
         is_ready = is_ready and authority.knows_mode
         if is_ready and authority.may_begin and not authority.has_id_conflict(now_s):
             context.enter(Trigger.READY, now_s)
-            guided = f"ready: switch to {context.vehicle.guided_name} to hand over control"
+            guided = f"ready: switch to {context.vehicle.guided_name} to hand over"
             text = "ready: automatic takeoff begins" if context.is_launch_wanted else guided
             context.announce(severity, text, Topic.READINESS)
 
@@ -325,6 +327,6 @@ class ControlTick:
 
 def _resumed_text(before: Finding | None) -> str:
     """Return the text for resuming the plan after the last announced finding."""
-    if before is None:
+    if before is None or before.reason in NO_FAULTS:
         return "following the plan"
-    return f"following the plan again; cleared: {before.text}"
+    return f"following the plan; cleared: {before.text.partition(':')[0]}"

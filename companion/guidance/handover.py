@@ -143,7 +143,7 @@ class Handover:
             context.authority.require_grant(GRANT_REASONS[Trigger.CONTENTION])
         text = f"control lost: autopilot went to {name}"
         if context.authority.grant_reason is None:
-            text += f"; ready again after {REGAIN_QUIET_S:g} s in that mode"
+            text += f"; ready again after {REGAIN_QUIET_S:g} s in that mode without a failsafe"
         context.warn(text)
 
     def _flight_over(self, event: events.HeartbeatReceived) -> None:
@@ -200,7 +200,7 @@ class Handover:
         elif not self._is_ignoring_announced:
             self._is_ignoring_announced = True
             reason = "the search is over" if is_finished else authority.grant_reason
-            text = f"{name} too soon: leave it for {REGAIN_QUIET_S:g} s, until ready"
+            text = f"{name} too soon: leave it {REGAIN_QUIET_S:g} s, until ready"
             if reason is not None:
                 text = f"{name} ignored: {reason}; {GRANT_HOW}"
             context.announce(Severity.NOTICE, text)
@@ -257,7 +257,7 @@ class Handover:
         if not step_m > ORIGIN_STEP_M:
             return
         context.fencing.read_again()
-        text = f"home moved {step_m:.0f} m: heights still refer to the old home"
+        text = f"home moved {step_m:.0f} m: heights are above the old home"
         context.warn(text)
         finding = Finding(Verdict.HOLD, Reason.HOME_MOVED, "home moved")
         context.passing.hold(finding, event.time_s + SETTLE_S)

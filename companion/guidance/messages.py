@@ -286,7 +286,7 @@ class OffsetMessages:
         for bound_m in (low_m, high_m):
             is_held = abs(offset_m - bound_m) <= AT_BOUND_SHARE * (high_m - low_m)
             if bound_m and is_held and self._texts.is_due(bound_m, now_s):
-                text = f"range offset at its limit, {bound_m:+.3g} m: calibrate the radio"
+                text = f"range offset at limit {bound_m:+.3g} m: calibrate the radio"
                 return [Announce(Severity.WARNING, text)]
         return []
 

@@ -198,7 +198,7 @@ class FlightPlan:
 def _descent_messages(before_m: float, descent_m: float) -> list[Command]:
     """Return a text when crossings begin below the search altitude, and when they end there."""
     if descent_m > 0.0 and before_m == 0.0:
-        text = f"lower pass: {descent_m:.0f} m below the search altitude, for more information"
+        text = f"lower pass: {descent_m:.0f} m below the search altitude"
         return [Announce(Severity.INFO, text)]
     if before_m > 0.0 and descent_m == 0.0:
         return [Announce(Severity.INFO, "lower pass done: back to the search altitude")]
@@ -211,8 +211,8 @@ def _forbidden_by(fence: Fence, position_enu_m: Point) -> str:
         return ""
     borders = (fence.polygon_enu_m, *fence.also_inside_enu_m)
     if any(depth_m(border, position_enu_m) < fence.margin_m for border in borders):
-        return "estimate is outside the fence: observing from inside"
-    return "estimate is in a keep-out: observing from outside"
+        return "estimate outside the fence: observing from inside"
+    return "estimate in a keep-out: observing from outside"
 
 
 CLIMB_FIRST_M = 1.0

@@ -158,7 +158,7 @@ class WaitingReason:
             if not self._authority.needs_another_mode:
                 return None
             mode = self._vehicle.name_of(self._vehicle.mode)
-            return f"no control: found in {mode}; switch to another mode"
+            return f"no control: found in {mode}; leave it first"
         if self._vehicle.heartbeat is None:
             return None
         if self._missing_since_s is None:

@@ -239,7 +239,7 @@ class Outlet:
             return False
         if not self._is_conflict_announced:
             self._is_conflict_announced = True
-            text = f"another companion sends as {sender[0]}/{sender[1]}: stop one of the two"
+            text = f"another companion sends as {sender[0]}/{sender[1]}: stop one"
             self.announce(Announce(Severity.ERROR, text), now_s)
         return True
 

@@ -2,10 +2,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
+
+from companion.domain import Autopilot, FlightMode
 from companion.guidance.context import CLEARED_AFTER_S, REANNOUNCE_S, FindingMessages
 from companion.guidance.control import TICK_S
 from companion.guidance.control_authority import Finding, Reason, Verdict
 from companion.guidance.events import OperatorCommand, OperatorCommandReceived
+from companion.link.outbound import TEXT_LENGTH
 from tests.unit.companion.guidance.scripted import ScriptedFlight
 
 STALE = Finding(Verdict.HOLD, Reason.POSITION_STALE, "")
@@ -71,3 +75,32 @@ def test_reasons_that_take_turns_in_flight_are_reported_calmly() -> None:
     announced = [text for text in flight.texts[since:] if text not in answers]
     assert announced == ["hold: operator requested hold"]
     assert len(flight.records("finding")) < 10
+
+
+def test_control_that_begins_has_nothing_cleared() -> None:
+    flight = ScriptedFlight().in_control()
+    about = [text for text in flight.texts if text.startswith("following the plan")]
+    assert about == ["following the plan"]
+
+
+def test_a_mode_that_ends_control_promises_ready_only_without_a_failsafe() -> None:
+    """The mode may come a HEARTBEAT before the failsafe that caused it."""
+    flight = ScriptedFlight().in_control()
+    flight.show(FlightMode.RETURN)
+    flight.fly(0.1)
+    assert flight.texts[-1].endswith("ready again after 2 s in that mode without a failsafe")
+    flight.show(FlightMode.RETURN, is_failsafe=True)
+    flight.fly(5.0)
+    assert flight.texts[-1].startswith("grant needed, failsafe")
+
+
+@pytest.mark.parametrize("autopilot", [Autopilot.PX4, Autopilot.ARDUPILOT])
+def test_the_texts_of_an_uneventful_flight_fit_one_statustext(autopilot: Autopilot) -> None:
+    flight = ScriptedFlight(autopilot=autopilot).in_control()
+    flight.has_ranging = False
+    flight.fly(3.0)
+    flight.has_ranging = flight.follows = True
+    flight.fly_until_reported()
+    flight.fly(10.0)
+    own = [text for text in flight.texts if "position jumped" not in text]
+    assert [text for text in own if len(text) > TEXT_LENGTH] == []

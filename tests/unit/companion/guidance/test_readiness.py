@@ -161,7 +161,7 @@ def test_an_ardupilot_that_reports_no_landed_state_is_not_ready_and_says_so() ->
     flight.report_landed(LandedState.IN_AIR)
     flight.fly(1.0)
     assert flight.is_in(Phase.STANDBY)
-    assert "ready: switch to GUIDED to hand over control" in flight.texts
+    assert "ready: switch to GUIDED to hand over" in flight.texts
 
 
 def test_a_mode_that_is_chosen_without_one_is_answered_by_its_name() -> None:

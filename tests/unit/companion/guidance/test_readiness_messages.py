@@ -99,7 +99,7 @@ def test_after_the_report_an_autopilot_that_stays_ours_is_reported_when_setpoint
     flight.fly_until_reported()
     before = len(flight.texts)
     flight.fly(5.5)
-    text = "setpoints stopped: autopilot stays in offboard mode; choose a mode"
+    text = "setpoints stopped in offboard mode: choose a mode"
     assert texts_since(flight, before) == [text]
 
 

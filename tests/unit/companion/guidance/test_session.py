@@ -237,7 +237,7 @@ def test_a_vehicle_that_is_left_alone_is_reported_so_once() -> None:
     flight.fly(30.0)
     assert flight.is_in(Phase.WAITING)
     assert [text for text in flight.texts if text.startswith("no control")] == [
-        "no control: found in offboard; switch to another mode"
+        "no control: found in offboard; leave it first"
     ]
 
 

@@ -69,7 +69,7 @@ def test_a_mode_that_was_chosen_is_switched_back_without_a_grant(autopilot: Auto
     assert silent_since(flight, lost_s)
     flight.fly(0.1)
     assert flight.is_in(Phase.STANDBY)
-    assert flight.texts[-1] == f"ready: switch to {flight.guided_name} to hand over control"
+    assert flight.texts[-1] == f"ready: switch to {flight.guided_name} to hand over"
     since_s = flight.now_s
     flight.fly(1.0)
     streamed = {command.setpoint.position_enu_m for command in flight.sent(SendSetpoint, since_s)}

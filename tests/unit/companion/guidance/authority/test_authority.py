@@ -322,7 +322,7 @@ def test_offboard_given_again_too_soon_is_explained_once() -> None:
     flight.show(FlightMode.OFFBOARD)
     flight.fly(5.0)
     assert flight.is_in(Phase.YIELD)
-    text = "GUIDED too soon: leave it for 2 s, until ready"
+    text = "GUIDED too soon: leave it 2 s, until ready"
     assert flight.texts.count(text) == 1
 
 
@@ -397,7 +397,7 @@ def test_a_vehicle_in_our_mode_after_a_doubt_is_not_called_ready(autopilot: Auto
     said = " ".join(flight.texts[before:])
     assert "ready" not in said
     assert "no control: found in " in said
-    assert "; switch to another mode" in said
+    assert "; leave it first" in said
     flight.show(FlightMode.POSITION)
     flight.fly(3.0)
     flight.show(FlightMode.OFFBOARD)

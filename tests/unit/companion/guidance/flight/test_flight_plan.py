@@ -197,6 +197,6 @@ def test_a_lower_pass_is_reported_when_it_begins_and_when_it_is_over() -> None:
     for planner.descent_m in (0.0, 14.0, 14.0, 0.0):
         flight.fly(1.0)
     assert [text for text in flight.texts if "lower pass" in text] == [
-        "lower pass: 14 m below the search altitude, for more information",
+        "lower pass: 14 m below the search altitude",
         "lower pass done: back to the search altitude",
     ]
