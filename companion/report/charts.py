@@ -18,7 +18,7 @@ from markupsafe import Markup
 from companion.geometry.coordinates import LocalOrigin, corner_of, tile_at
 from companion.geometry.polygons import Point, ellipse_95
 from companion.report.flight_summary import EstimatePoint
-from companion.web.settings import zooms_of
+from companion.web.settings import IMAGE_KINDS, MAX_TILE_BYTES, tile_path, zooms_of
 
 MARGIN = 44.0
 """Margin around the plot, for the ticks."""
@@ -390,9 +390,6 @@ def histogram(
 
 MAX_TILES = 24
 """Maximum number of tiles of a page; at about 20 kB each, as much as the rest of a long report."""
-KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
-"""Magic numbers of image formats; file names are ignored."""
-MAX_BYTES = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,13 +426,12 @@ def pictures_of(
 
 
 def _picture(folder: Path, origin: LocalOrigin, x: int, y: int, zoom: int) -> Picture | None:
-    path = folder / str(zoom) / str(x) / f"{y}.png"
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES)
+        with tile_path(folder, zoom, x, y).open("rb") as file:
+            data = file.read(MAX_TILE_BYTES)
     except OSError:
         return None
-    kind = next((kind for head, kind in KINDS.items() if data.startswith(head)), None)
+    kind = next((kind for head, kind in IMAGE_KINDS.items() if data.startswith(head)), None)
     if kind is None:
         return None
     url = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -39,6 +39,7 @@ from companion.config.versions import KEY, is_in, renew
 from companion.errors import CompanionError, ConfigError
 from companion.geometry.coordinates import LATITUDES_DEG, tile_at
 from companion.link.interface import RadioSettings
+from companion.web.settings import IMAGE_KINDS, MAX_TILE_BYTES, tile_path
 
 DEFAULT = "default"
 WIDTH = 44
@@ -220,21 +221,9 @@ MAX_TILES = 20_000
 """Maximum number of tiles of one fetch; more is a burden to a server that others pay for."""
 PAUSE_S = 0.05
 TIMEOUT_S = 20.0
-MAX_BYTES = 2_000_000
-"""Maximum number of bytes of one tile."""
 METRES_PER_DEGREE = 111_319.5
-SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
-"""Magic numbers of PNG, JPEG and WebP."""
-
-
-@dataclass(frozen=True, slots=True)
-class Tile:
-    """One picture; `y` counts from the north, as `z/x/y.png` does."""
-
-    zoom: int
-    x: int
-    y: int
-    picture: bytes
+Position = tuple[int, int, int]
+"""Zoom, x and y of a tile."""
 
 
 def run_tiles(arguments: argparse.Namespace) -> int:
@@ -245,13 +234,13 @@ def run_tiles(arguments: argparse.Namespace) -> int:
     if not all(part in arguments.url for part in ("{z}", "{x}", "{y}")):
         raise ConfigError(f"{arguments.url}: must have {{z}}, {{x}} and {{y}} in it")
     url = arguments.url
-    missing = [each for each in tiles if not _file(arguments.folder, *each).exists()]
+    missing = [each for each in tiles if not tile_path(arguments.folder, *each).exists()]
     count, folder = _stored(_fetched(url, missing), arguments.folder), arguments.folder
     sys.stdout.write(f"{count} tiles in {folder}; show them with: --web-tiles {folder}\n")
     return 0
 
 
-def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, int, int]]:
+def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[Position]:
     """Return zoom, x and y of every tile that a square around a point touches."""
     try:
         latitude_deg, longitude_deg = map(float, around.split(","))
@@ -270,7 +259,7 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
         raise ConfigError(f"--radius {radius_m:g}: give metres, up to 100000")
     north_deg = radius_m / METRES_PER_DEGREE
     east_deg = north_deg / math.cos(math.radians(latitude_deg))
-    wanted: list[tuple[int, int, int]] = []
+    wanted: list[Position] = []
     for zoom in range(least, most + 1):
         left, top = tile_at((latitude_deg + north_deg, longitude_deg - east_deg), zoom)
         right, bottom = tile_at((latitude_deg - north_deg, longitude_deg + east_deg), zoom)
@@ -282,7 +271,7 @@ def wanted_tiles(around: str, radius_m: float, zooms: str) -> list[tuple[int, in
     return wanted
 
 
-def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
+def _fetched(url: str, tiles: Iterable[Position]) -> Iterator[tuple[Position, bytes]]:
     """Yield tiles one by one, with pauses; those before a failure are kept by the caller."""
     for zoom, x, y in tiles:
         address = url.replace("{z}", str(zoom)).replace("{x}", str(x)).replace("{y}", str(y))
@@ -290,35 +279,32 @@ def _fetched(url: str, tiles: Iterable[tuple[int, int, int]]) -> Iterator[Tile]:
         try:
             request = urllib.request.Request(address, headers=agent)
             with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-                picture = answer.read(MAX_BYTES + 1)
+                picture = answer.read(MAX_TILE_BYTES + 1)
         except (OSError, ValueError) as error:
             reason = getattr(error, "reason", None) or error
             raise CompanionError(
                 f"{address}: {reason}; tiles so far are kept; run it again to continue"
             ) from error
-        if len(picture) > MAX_BYTES:
-            raise CompanionError(f"{address}: more than {MAX_BYTES} bytes, which is not a map tile")
-        yield Tile(zoom, x, y, picture)
+        if len(picture) > MAX_TILE_BYTES:
+            text = f"more than {MAX_TILE_BYTES} bytes, which is not a map tile"
+            raise CompanionError(f"{address}: {text}")
+        yield (zoom, x, y), picture
         time.sleep(PAUSE_S)
 
 
-def _stored(tiles: Iterable[Tile], folder: Path) -> int:
+def _stored(tiles: Iterable[tuple[Position, bytes]], folder: Path) -> int:
     """Write tiles as `z/x/y.png` regardless of their image format; return their number."""
     count = 0
-    for tile in tiles:
-        if not tile.picture.startswith(SIGNATURES):
-            raise CompanionError(f"tile {tile.zoom}/{tile.x}/{tile.y}: is not an image")
-        file = _file(folder, tile.zoom, tile.x, tile.y)
+    for position, picture in tiles:
+        if not picture.startswith(tuple(IMAGE_KINDS)):
+            raise CompanionError(f"tile {'/'.join(map(str, position))}: is not an image")
+        file = tile_path(folder, *position)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             part = file.with_suffix(".part")
-            part.write_bytes(tile.picture)
+            part.write_bytes(picture)
             part.replace(file)
         except OSError as error:
             raise CompanionError(f"{file}: cannot be written ({error.strerror})") from error
         count += 1
     return count
-
-
-def _file(folder: Path, zoom: int, x: int, y: int) -> Path:
-    return folder / str(zoom) / str(x) / f"{y}.png"

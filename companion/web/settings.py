@@ -89,6 +89,9 @@ NO_TILE = bytes.fromhex(
     "0000000b49444154789c6360000200000500017a5eab3f0000000049454e44ae426082"
 )
 """One transparent pixel as PNG, where there is no tile."""
+IMAGE_KINDS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"RIFF": "webp"}
+"""Magic numbers of a tile's image formats; file names are ignored."""
+MAX_TILE_BYTES = 2_000_000
 
 
 def zooms_of(folder: Path) -> tuple[int, int] | None:
@@ -103,10 +106,15 @@ def zooms_of(folder: Path) -> tuple[int, int] | None:
     return (min(zooms), max(zooms)) if zooms else None
 
 
+def tile_path(folder: Path, zoom: int, x: int, y: int) -> Path:
+    """Return the file of a tile; `y` counts from the north."""
+    return folder / str(zoom) / str(x) / f"{y}.png"
+
+
 def tile(folder: Path, zoom: int, x: int, y: int) -> bytes:
     """Return a tile as PNG, a transparent one if it is missing."""
     try:
-        return (folder / str(zoom) / str(x) / f"{y}.png").read_bytes()
+        return tile_path(folder, zoom, x, y).read_bytes()
     except OSError:
         return NO_TILE
 

@@ -76,7 +76,7 @@ def test_after_a_failure_it_goes_on_where_it_was(
 def test_what_is_too_large_for_a_tile_is_not_cut_and_stored(
     server: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(config_commands, "MAX_BYTES", 10)
+    monkeypatch.setattr(config_commands, "MAX_TILE_BYTES", 10)
     assert fetch(server, tmp_path) == EXIT_BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "more than 10 bytes" in line
