@@ -19,6 +19,7 @@ from functools import partial
 from typing import Any
 
 from companion.mav.dialect import MAVLink_command_cancel_message, Message, mavlink
+from companion.mav.payloads import IdentifiedMissionCurrent
 from sim_link.autopilot.control_inputs import (
     AttitudeTarget,
     GlobalTarget,
@@ -52,7 +53,6 @@ from sim_link.autopilot.protocols.mission_protocol import Plans
 from sim_link.autopilot.protocols.parameter_protocol import Parameters
 from sim_link.autopilot.protocols.plan_items import (
     CurrentChosen,
-    MissionAnnouncer,
     PlanChanged,
     PlanItem,
     PlanResult,
@@ -175,8 +175,8 @@ class Services:
         )
         for link in range(len(links)):
             self.requests.open(Channel(link), 0.0)
-        self._announcer = MissionAnnouncer()
-        self._announcer.changed(mission_progress(vehicle))
+        self._progress = mission_progress(vehicle)
+        """Progress of the mission as announced last."""
         self._seen = (0, 0, flavour.changes)
         self._owed: list[Outgoing] = []
         """Parameters that changed by themselves."""
@@ -236,11 +236,12 @@ class Services:
         vehicle, aircraft = self._vehicle, self._vehicle.aircraft
         texts, aircraft.texts = aircraft.texts, []
         messages = [each for text in texts for each in self._texts.messages(*text)]
-        changed = self._announcer.changed(mission_progress(vehicle))
+        progress = mission_progress(vehicle)
         reached, aircraft.mission.reached = aircraft.mission.reached, []
         messages += [mavlink.MAVLink_mission_item_reached_message(seq) for seq in reached]
-        if changed is not None:
-            messages.append(changed)
+        if progress != self._progress:
+            self._progress = progress
+            messages.append(IdentifiedMissionCurrent(*progress.fields))
             self._store.current = aircraft.mission.current
         owed, self._owed = self._owed, []
         return owed + [Outgoing(message) for message in messages + self._changed_positions()]

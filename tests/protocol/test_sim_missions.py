@@ -70,6 +70,18 @@ def state(station: GroundStation) -> int:
     return int(station.last(mavlink.MAVLink_mission_current_message).mission_state)
 
 
+def test_a_changed_mission_is_announced_once() -> None:
+    station = GroundStation(Scenario())
+    station.run(2.5)
+    interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    assert station.command(interval, 42.0, -1.0) == ACCEPTED
+    before = len(station.all(mavlink.MAVLink_mission_current_message))
+    upload(station, OUT)
+    station.run(1.5)
+    (announced,) = station.all(mavlink.MAVLink_mission_current_message)[before:]
+    assert announced.total == len(OUT)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
 def test_every_waypoint_is_reached_in_order_and_reported(flavour: FlavourName) -> None:

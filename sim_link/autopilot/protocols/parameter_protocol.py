@@ -344,7 +344,10 @@ class Parameters:
         if rules.checks_type and message.param_type != spec.kind:
             return []
         if spec.is_read_only:
-            return self._report_read_only(index, partner) if rules.reports_read_only else []
+            if not rules.reports_read_only:
+                return []
+            kept = Outgoing(self._value(index, is_named=True))
+            return [kept, *self._texts.warn(partner, f"{spec.name} kept: is read-only")]
         value = value_from_raw(raw_of(message), spec.kind, rules.encoding)
         if not (math.isfinite(value) or rules.stores_nan):
             return []
@@ -353,10 +356,3 @@ class Parameters:
             value = least + (int(value) - least) % (greatest - least + 1)
         self.store.set(name, value)
         return [Outgoing(self._value(index, is_named=True))] * rules.echoes
-
-    def _report_read_only(self, index: int, partner: Partner) -> list[Outgoing]:
-        text = f"{self.store.specs[index].name} kept: is read-only"
-        return [
-            Outgoing(self._value(index, is_named=True)),
-            *self._texts.warn(partner, text),
-        ]

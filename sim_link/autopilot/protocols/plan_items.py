@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from companion.mav.dialect import Message, mavlink
-from companion.mav.payloads import IdentifiedMissionCurrent
 from sim_link.autopilot.protocols.addressing import Outgoing, Partner
 
 DEGREE = 1e7
@@ -231,17 +230,3 @@ class MissionProgress:
         total = max(0, self.count - self.has_home) if self.count else NO_MISSION_TOTAL
         mode = 1 if self.is_in_mission_mode else 2
         return (self.seq, total, self.state, mode, self.plan_ids)
-
-
-class MissionAnnouncer:
-    """Broadcasts a change at once; the steady 1 Hz belongs to the streams."""
-
-    def __init__(self) -> None:
-        self._sent: MissionProgress | None = None
-
-    def changed(self, progress: MissionProgress) -> Message | None:
-        """Return MISSION_CURRENT if anything in it is new."""
-        if progress == self._sent:
-            return None
-        self._sent = progress
-        return IdentifiedMissionCurrent(*progress.fields)

@@ -4,20 +4,15 @@ import pytest
 
 from companion.mav.codec import MavCodec
 from companion.mav.dialect import mavlink
-from sim_link.autopilot.protocols.plan_items import (
-    MissionAnnouncer,
-    MissionProgress,
-    MissionState,
-)
+from companion.mav.payloads import IdentifiedMissionCurrent
+from sim_link.autopilot.protocols.plan_items import MissionProgress, MissionState
 from tests.unit.sim_link.autopilot.protocols.wire import said
 
 ACTIVE = MissionProgress(2, 5, MissionState.ACTIVE, is_in_mission_mode=True)
 
 
 def current(progress: MissionProgress) -> mavlink.MAVLink_mission_current_message:
-    change = MissionAnnouncer().changed(progress)
-    assert change is not None
-    message = said(change)
+    message = said(IdentifiedMissionCurrent(*progress.fields))
     assert isinstance(message, mavlink.MAVLink_mission_current_message)
     return message
 
@@ -39,11 +34,3 @@ def test_home_does_not_count_and_no_mission_is_65535(
 def test_the_opaque_plan_ids_are_zero() -> None:
     """Extensions that are left out read as zero: the payload ends before them."""
     assert MavCodec(1, 1).encode(current(ACTIVE))[1] <= 6
-
-
-def test_a_change_is_announced_once() -> None:
-    announcer = MissionAnnouncer()
-    assert announcer.changed(ACTIVE) is not None
-    assert announcer.changed(ACTIVE) is None
-    done = MissionProgress(2, 5, MissionState.COMPLETE, is_in_mission_mode=True)
-    assert announcer.changed(done) is not None
