@@ -107,24 +107,23 @@ class Page:
         self, hub: PictureFeed, *, tile_zooms: tuple[int, int] | None, press: Press | None
     ) -> None:
         self._hub = hub
-        self._shown = -1
+        self._shown = 0
+        """Version shown; none yet: a replay begins when a browser has opened the page."""
         ui.dark_mode(None)
         ui.add_css(STYLE)
         ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
         ui.add_head_html(f"<script>{LIVE_WATCH.read_text(encoding='utf-8')}</script>")
-        self._phase = PhaseBar(hub.scene.get("replay"))
+        phase = PhaseBar(hub.scene.get("replay"))
         with ui.row().classes("w-full gap-2 halves"):
             with ui.column().classes("gap-1 map-half"):
                 self._map = SearchMap(hub.scene, tile_zooms)
                 with ui.row().classes("w-full items-start justify-end gap-2 buttons"):
-                    self._handoff = HandoffButton()
+                    handoff = HandoffButton()
                     self._commands = None if press is None else CommandButtons(press)
             with ui.column().classes("gap-2 side"):
-                self._numbers = Numbers(hub.scene)
-                self._ages = AgeBars(hub.scene)
-                self._emitters = EmitterList()
-                self._radios = RadioList()
-                self._texts = TextList()
+                panels = (Numbers(hub.scene), AgeBars(hub.scene), EmitterList(), RadioList())
+                texts = TextList()
+        self._parts = (phase, *panels, handoff, texts)
         self._charts = Charts(hub.scene)
         ui.timer(REFRESH_S, self._refresh)
 
@@ -132,20 +131,13 @@ class Page:
         hub = self._hub
         if self._commands is not None:
             self._commands.check_answers()
-        if hub.version == 0:
-            return  # a replay begins when a browser has opened the page
         if hub.version == self._shown:
             return
         self._shown = hub.version
         picture: dict[str, Any] = hub.picture
-        self._phase.show(picture)
         self._map.show(hub)
-        self._numbers.show(picture)
-        self._ages.show(picture)
-        self._emitters.show(picture)
-        self._radios.show(picture)
-        self._handoff.show(picture)
-        self._texts.show(picture)
+        for part in self._parts:
+            part.show(picture)
         if self._commands is not None:
             self._commands.show(picture)
         ui.run_javascript(f"pictureHeard({json.dumps(picture.get('is_over', False))})")
