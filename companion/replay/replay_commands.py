@@ -12,15 +12,23 @@ import argparse
 import statistics
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from companion.config.radios import RadioConfig, radio_setups, replayed_radios
 from companion.config.schema import CompanionConfig, load_config
-from companion.domain import Attitude, PositionAccuracy, RangingMeasurement, VehicleState
+from companion.domain import (
+    DEFAULT_GNSS_SIGMA_M,
+    Attitude,
+    EstimateState,
+    PositionAccuracy,
+    RangingMeasurement,
+    VehicleState,
+)
 from companion.errors import EXIT_FAILED, ConfigError
+from companion.estimation.target_estimate import aside_of_m
 from companion.guidance.emitters import EmitterQueue, QueueParams
 from companion.guidance.measurements import RangingListener
 from companion.guidance.vehicle_track import VehicleTrack
@@ -37,11 +45,9 @@ from companion.replay.flight_replay import FlightReplay, Pace, replay_flight, re
 from companion.replay.walk_replay import (
     TargetResult,
     WalkAccuracy,
-    explanation,
     replay_walk,
     result_of,
     stated_accuracy,
-    table,
 )
 from companion.web.settings import requested_settings
 
@@ -87,7 +93,7 @@ def _replay_recording(arguments: argparse.Namespace, config: CompanionConfig) ->
     replay = replay_recording(arguments.file, config)
     print("\n".join(replay.radios))
     if replay.targets:
-        print(table(replay.targets, config.estimation.localised_r95_m))
+        print(_table(replay.targets, config.estimation.localised_r95_m))
     if arguments.json is not None:
         value = {"file": arguments.file.name, "targets": [r.as_json() for r in replay.targets]}
         write_json_atomic(arguments.json, value)
@@ -108,9 +114,9 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     results = replay_walk(arguments.file, config.tracking, progress, arguments.own_sigma)
     if sys.stderr.isatty():
         print("\r", end="", file=sys.stderr)
-    print(table(results, config.estimation.localised_r95_m))
+    print(_table(results, config.estimation.localised_r95_m))
     if arguments.explain:
-        print(explanation(results))
+        print(_explanation(results))
     if not config.tracking.is_range_calibrated:
         print("uncalibrated: range offset unknown, so nothing is localised; set offset_steps")
     if arguments.json is not None:
@@ -226,3 +232,65 @@ def _lines_without_positions(targets: dict[int, _Target]) -> list[str]:
         middle = f", median range {statistics.median(ranges_m):.2f} m" if ranges_m else ""
         lines.append(f"  emitter {number}: {target.count} measurements{middle}")
     return [*lines, "no estimate: no autopilot was connected, so positions are unknown"]
+
+
+def _table(results: list[TargetResult], localised_r95_m: float) -> str:
+    """Return the results as lines of text, with median and worst error where the truth is known."""
+    lines = [
+        f"{'target':<12} {'n':>6} {'refused':>7}  {'state':<10} {'east m':>9} {'north m':>9} "
+        f"{'R95 m':>7} {'error m':>8}"
+    ]
+    for result in results:
+        estimate = result.estimate
+        if estimate is None:
+            numbers = f"{'-':>9} {'-':>9} {'-':>7} {'-':>8}"
+        else:
+            east, north = estimate.position_enu_m
+            error = "-" if result.error_m is None else f"{result.error_m:.2f}"
+            numbers = f"{east:9.2f} {north:9.2f} {estimate.r95_m:7.2f} {error:>8}"
+        refused = sum(result.refused.values())
+        lines.append(
+            f"{result.target_id:<12} {result.rows:>6} {refused:>7}  {result.state:<10} {numbers}"
+        )
+        if estimate is not None and estimate.alternative_enu_m is not None:
+            east, north = estimate.alternative_enu_m
+            hint = f"walk {aside_of_m(estimate):.0f} m to the side to resolve it"
+            lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}  {hint}")
+    errors = sorted(result.error_m for result in results if result.error_m is not None)
+    if errors:
+        middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])
+        lines.append(f"median error {middle:.2f} m, worst {errors[-1]:.2f} m")
+    return "\n".join([*lines, *_remarks(results, localised_r95_m)])
+
+
+def _explanation(results: list[TargetResult]) -> str:
+    """Return, for each target, R95 as it grows term by term."""
+    lines = []
+    for result in results:
+        lines.append(f"{result.target_id}: R95 after each term")
+        lines += [f"  {radius_m:9.2f} m  {term}" for term, radius_m in result.budget_m.items()]
+    return "\n".join(lines)
+
+
+def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
+    """Yield remarks on refusals, targets that are not localised, and an assumed own accuracy."""
+    refused = sum((Counter(result.refused) for result in results), Counter[str]())
+    if refused:
+        words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
+        yield f"refused: {words}"
+    estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
+    limit_m = localised_r95_m
+    for state, radii_of, end in (
+        (EstimateState.SEARCHING, "settled_r95_m", f"localised asks for {limit_m:g} m"),
+        (EstimateState.LOCALISED, "r95_m", "R95 adds the drift of the vehicle position"),
+    ):
+        words = ", ".join(
+            f"{name} to {estimate.settled_r95_m:.2f} m"
+            for name, estimate in estimates.items()
+            if estimate.state is state and getattr(estimate, radii_of) > limit_m
+        )
+        if words:
+            yield f"{state.name.lower()}: measurements place {words}; {end}"
+    if not all(estimate.own.is_reported for estimate in estimates.values()):
+        sigma_m = f"{DEFAULT_GNSS_SIGMA_M:g} m"
+        yield f"R95 assumes {sigma_m} for positions of unknown accuracy: see --own-sigma"

@@ -14,18 +14,17 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
+from typing import TextIO
 
 import msgspec
 
 from companion.domain import (
-    DEFAULT_GNSS_SIGMA_M,
     GNSS_VERTICAL_RATIO,
     MAX_COORDINATE_M,
-    EstimateState,
     NonNegative,
     PositionAccuracy,
     PositionEnu,
@@ -33,7 +32,6 @@ from companion.domain import (
     TargetEstimate,
 )
 from companion.errors import ConfigError, decoding_problem
-from companion.estimation.target_estimate import aside_of_m
 from companion.estimation.tracker import TargetTracker
 from companion.estimation.tracker_params import TrackerParams
 from companion.estimation.window.rivals import Observability
@@ -249,21 +247,21 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
         stated = msgspec.structs.replace(stated, own_sigma_m=own_sigma_m)
     try:
         with io.TextIOWrapper(open_file(path), encoding="utf-8-sig", newline="") as file:
-            separator = max(SEPARATORS, key=file.readline().count)
-            file.seek(0)
-            reader = csv.DictReader(file, delimiter=separator)
-            present = [name.strip() for name in reader.fieldnames or ()]
-            _check_columns(present, f"{path}: line 1")
+            above, separator, header = _header(file)
+            reader = csv.DictReader(chain([header], file), delimiter=separator)
+            present = [name.strip("# ") for name in reader.fieldnames or ()]
+            _check_columns(present, f"{path}: line {above + 1}")
             reader.fieldnames, is_named = present, "target_id" in present
             numbers: dict[str, int] = {}
             rows = []
             for row in reader:
-                _check_row(row, path, reader.line_num)
+                number = above + reader.line_num
+                _check_row(row, path, number)
                 cells = _cells(row, has_points=separator == ",")
                 if own_sigma_m is not None:
                     cells.pop("own_sigma_m", None)
                 if any(cells.values()):
-                    line = f"{path}: line {reader.line_num}"
+                    line = f"{path}: line {number}"
                     cells["target_id"] = cells["target_id"] if is_named else path.stem
                     rows.append(_walk_row(cells, line, numbers, stated))
             return sorted(rows, key=lambda row: row.measurement.measured_at_s)
@@ -271,6 +269,21 @@ def read_walk(path: Path, own_sigma_m: float | None = None) -> list[WalkRow]:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: not a CSV file in UTF-8: {error}") from error
+
+
+def _header(file: TextIO) -> tuple[int, str, str]:
+    """Return the number of lines above the header, the separator, and the header.
+
+    Lines above it are blank, comments, or Excel's `sep=;`; NumPy writes the header as a comment.
+    """
+    separator = ""
+    for above, line in enumerate(file):
+        text = line.strip()
+        if text.startswith("sep="):
+            separator = text[4:5]
+        elif text.strip(SEPARATORS) and (text[0] != "#" or all(each in text for each in REQUIRED)):
+            return above, separator or max(SEPARATORS, key=line.count), line
+    return 0, ",", ""
 
 
 def _check_columns(present: Sequence[str], line: str) -> None:
@@ -386,65 +399,3 @@ def _needed(row: Mapping[str, str], name: str, line: str) -> float:
     if value is None or not math.isfinite(value):
         raise ConfigError(f"{line}: {name} must be a finite number")
     return value
-
-
-def table(results: list[TargetResult], localised_r95_m: float) -> str:
-    """Return the results as lines of text, with median and worst error where the truth is known."""
-    lines = [
-        f"{'target':<12} {'n':>6} {'refused':>7}  {'state':<10} {'east m':>9} {'north m':>9} "
-        f"{'R95 m':>7} {'error m':>8}"
-    ]
-    for result in results:
-        estimate = result.estimate
-        if estimate is None:
-            numbers = f"{'-':>9} {'-':>9} {'-':>7} {'-':>8}"
-        else:
-            east, north = estimate.position_enu_m
-            error = "-" if result.error_m is None else f"{result.error_m:.2f}"
-            numbers = f"{east:9.2f} {north:9.2f} {estimate.r95_m:7.2f} {error:>8}"
-        refused = sum(result.refused.values())
-        lines.append(
-            f"{result.target_id:<12} {result.rows:>6} {refused:>7}  {result.state:<10} {numbers}"
-        )
-        if estimate is not None and estimate.alternative_enu_m is not None:
-            east, north = estimate.alternative_enu_m
-            hint = f"walk {aside_of_m(estimate):.0f} m to the side to resolve it"
-            lines.append(f"{'':<27}  {'or':<10} {east:9.2f} {north:9.2f}  {hint}")
-    errors = sorted(result.error_m for result in results if result.error_m is not None)
-    if errors:
-        middle = 0.5 * (errors[(len(errors) - 1) // 2] + errors[len(errors) // 2])
-        lines.append(f"median error {middle:.2f} m, worst {errors[-1]:.2f} m")
-    return "\n".join([*lines, *_remarks(results, localised_r95_m)])
-
-
-def explanation(results: list[TargetResult]) -> str:
-    """Return, for each target, R95 as it grows term by term."""
-    lines = []
-    for result in results:
-        lines.append(f"{result.target_id}: R95 after each term")
-        lines += [f"  {radius_m:9.2f} m  {term}" for term, radius_m in result.budget_m.items()]
-    return "\n".join(lines)
-
-
-def _remarks(results: list[TargetResult], localised_r95_m: float) -> Iterator[str]:
-    """Yield remarks on refusals, targets that are not localised, and an assumed own accuracy."""
-    refused = sum((Counter(result.refused) for result in results), Counter[str]())
-    if refused:
-        words = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
-        yield f"refused: {words}"
-    estimates = {r.target_id: r.estimate for r in results if r.estimate is not None}
-    limit_m = localised_r95_m
-    for state, radii_of, end in (
-        (EstimateState.SEARCHING, "settled_r95_m", f"localised asks for {limit_m:g} m"),
-        (EstimateState.LOCALISED, "r95_m", "R95 adds the drift of the vehicle position"),
-    ):
-        words = ", ".join(
-            f"{name} to {estimate.settled_r95_m:.2f} m"
-            for name, estimate in estimates.items()
-            if estimate.state is state and getattr(estimate, radii_of) > limit_m
-        )
-        if words:
-            yield f"{state.name.lower()}: measurements place {words}; {end}"
-    if not all(estimate.own.is_reported for estimate in estimates.values()):
-        sigma_m = f"{DEFAULT_GNSS_SIGMA_M:g} m"
-        yield f"R95 assumes {sigma_m} for positions of unknown accuracy: see --own-sigma"

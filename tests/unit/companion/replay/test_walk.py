@@ -131,6 +131,9 @@ def test_absurd_cells_are_refused_and_counted(tmp_path: Path) -> None:
     [
         ("", "line 1: missing column t_s"),
         ("t_s,agent_x_m,agent_y_m,target_id\n", "line 1: missing column range_m or bearing"),
+        ("\nsep=;\n# no header\n", "line 1: missing column t_s"),
+        ("# of Monday\n\nt_s,agent_x_m\n", "line 3: missing column agent_y_m"),
+        ("sep=;\n\nt_s;agent_x_m;agent_y_m;range_m\n0;1;x;3\n", "line 4: agent_y_m is not"),
         (
             "time,lat,lon,target_id,range_ft\n0,47.1,8.2,A,3\n",
             r"agent_y_m, range_m or .*; range_m = range_ft \* 0.3048; from degrees, .*cos\(lat0",
@@ -179,6 +182,10 @@ def test_a_walk_about_one_emitter_needs_no_names(tmp_path: Path) -> None:
         "t_s\tagent_x_m\tagent_y_m\ttarget_id\trange_m\n0.5\t1.5\t2\ta.1,b\t3.25\n",
         't_s, agent_x_m, agent_y_m , target_id, range_m\r\n0.5, 1.5, 2,"a.1,b" ,3.25\r\n',
         '\ufefft_s,agent_x_m,agent_y_m,target_id,range_m\n0.5,1.5,2,"a.1,b",3.25\n,,,,\n',
+        "sep=;\r\nt_s;agent_x_m;agent_y_m;target_id;range_m\r\n0,5;1,5;2;a.1,b;3,25\r\n",
+        "\ufeffsep=|\nt_s|agent_x_m|agent_y_m|target_id|range_m\n0.5|1.5|2|a.1,b|3.25\n",
+        '\n,,\n# t_s, GPS\nt_s,agent_x_m,agent_y_m,target_id,range_m\n0.5,1.5,2,"a.1,b",3.25\n',
+        '# t_s,agent_x_m,agent_y_m,target_id,range_m\n0.5,1.5,2,"a.1,b",3.25\n',
     ],
 )
 def test_separators_and_spaces_of_other_programs_are_read(tmp_path: Path, text: str) -> None:
