@@ -184,7 +184,7 @@ class GuidanceSession:
                 self._measuring.fuse_due(event.time_s)
             case events.AutopilotClockSlipped():
                 self.vehicle.track.clear()
-                self.context.warn("autopilot's clock slipped: resynchronising timestamps")
+                self.context.warn("autopilot's clock or link delay jumped: resyncing")
             case events.IdentityDoubted(problem=str(problem)):
                 self.handover.leave(problem, event.time_s)
             case events.IdentityDoubted():

@@ -66,7 +66,7 @@ def test_a_clock_that_slips_on_the_ground_is_reported_with_what_follows() -> Non
     flight.give(AutopilotClockSlipped(flight.now_s))
     flight.fly(0.1)
     assert texts_since(flight, before) == [
-        "autopilot's clock slipped: resynchronising timestamps",
+        "autopilot's clock or link delay jumped: resyncing",
         "not ready: vehicle position is stale; setpoints stopped",
     ]
 
