@@ -22,7 +22,14 @@ from companion.errors import CompanionError
 from companion.io.links.transports import radio_link
 from companion.io.shell import Clock, Shell
 from companion.mav.endpoint import Chunk, OneShotEndpoint
-from companion.radios.decoder import BUILT_IN, FrameDecoder, Poll, RadioDecoder, radio_kind
+from companion.radios.decoder import (
+    BUILT_IN,
+    POWER_ONLY,
+    FrameDecoder,
+    Poll,
+    RadioDecoder,
+    radio_kind,
+)
 
 LISTEN_S = 10.0
 BAUDS = (115_200, 921_600, 57_600, 9_600)
@@ -41,6 +48,11 @@ MIN_POWERS = 3
 """Minimum number of received powers: fewer may be by-products of a console that prints ranges."""
 MIN_FRAMES_SHARE = 0.5
 """Minimum share of bytes in binary formats: short frames without a checksum occur in noise."""
+UNPARSED = frozenset(
+    {"torn line", "torn row", "not JSON", "no azimuth and elevation", POWER_ONLY}
+    | {"row without a header that has a distance"}
+)
+"""Reasons to refuse a line that may be of any format."""
 TEXT = bytes((*b"\t\n\r\x1b", *range(0x20, 0x7F)))
 NO_LINES = ("lines",)
 """Radios without a format of their own."""
@@ -59,6 +71,8 @@ class _Candidate:
 
     name: str
     decoder: RadioDecoder
+    plain: RadioDecoder | None = None
+    """The same without the options; None if there are none."""
     readings: int = 0
     powers: int = 0
     """Readings with a received power alone."""
@@ -66,11 +80,28 @@ class _Candidate:
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Decode some bytes."""
+        if self.plain is not None:
+            self.plain.feed(data, now_s)
         found = self.decoder.feed(data, now_s)
         powers = sum(each.range_m is None and each.azimuth_rad is None for each in found)
         self.powers += powers
         self.readings += len(found) - powers
         self.emitters.update(reading.emitter for reading in found[:16])
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Return the number of refused readings by reason, without lines of unknown format."""
+        counts = self.decoder.counts.refused.most_common()
+        return {reason: count for reason, count in counts if reason not in UNPARSED}
+
+    @property
+    def needed(self) -> dict[str, object]:
+        """Return the options without which fewer readings result."""
+        if self.plain is None or self.plain.counts.readings >= self.decoder.counts.readings:
+            return {}
+        is_named = any(emitter is not None for emitter in self.emitters)
+        options = OPTIONS[self.name].items()
+        return {key: each for key, each in options if not (is_named and key == "single_emitter")}
 
 
 class Listener:
@@ -80,7 +111,7 @@ class Listener:
         self.bytes = 0
         self._no_text = 0
         self.candidates = [
-            _Candidate(name, kind.decoder(options))
+            _Candidate(name, kind.decoder(options), kind.decoder() if name in OPTIONS else None)
             for name in names
             if name not in NO_LINES
             for kind in [radio_kind(name)]
@@ -112,6 +143,18 @@ class Listener:
             if each.powers >= MIN_POWERS
             and self._is_mostly_read(each)
             and each.decoder.counts.unrecognised <= each.decoder.counts.frames
+        ]
+        return min(fitting, key=_left_over, default=None)
+
+    @property
+    def refusing(self) -> _Candidate | None:
+        """Return the radio whose output this is, although it refuses the measurements; or None."""
+        fitting = [
+            each
+            for each in self.candidates
+            if sum(each.refused.values()) >= max(FEWEST, each.decoder.counts.frames / 2)
+            and each.decoder.counts.frames
+            and each.decoder.counts.resync_bytes < MIN_FRAMES_SHARE * self.bytes
         ]
         return min(fitting, key=_left_over, default=None)
 
@@ -242,7 +285,7 @@ def identify(
     url: str, seconds: float = LISTEN_S, hear: Listen = listen, clock: Clocked = time.monotonic
 ) -> tuple[int, str]:
     """Return the exit code and the report: the radio and its command, or the data received."""
-    heard, has_listened, problem = 0, False, None
+    heard, has_listened, problem, refusing = 0, False, None, None
     for attempt in timed(attempts(url), seconds, clock):
         listener = Listener()
         try:
@@ -252,6 +295,7 @@ def identify(
             continue
         has_listened = True
         heard += listener.bytes
+        refusing = refusing or listener.refusing
         found = listener.found or listener.found_by_power
         if found is not None:
             return 0, _words(found, attempt, url)
@@ -260,6 +304,9 @@ def identify(
             raise problem
         reason = problem or "check power, cable and port, and that an emitter is on"
         return 1, f"nothing heard at {url} in {seconds:g} s: {reason}"
+    if refusing is not None:
+        reasons = ", ".join(f"{reason} {count}" for reason, count in refusing.refused.items())
+        return 1, f"{heard} bytes at {url}, refused by {refusing.name}: {reasons}"
     return 1, f"{heard} bytes at {url}, from no known radio; see docs/radios/any-radio.md"
 
 
@@ -272,7 +319,10 @@ def _words(found: _Candidate, attempt: Attempt, url: str) -> str:
     names = ", ".join(sorted(str(each) for each in found.emitters if each is not None)[:4])
     emitters = f"; emitters {names}" if names else ""
     head = f"{found.name}: {kind.title}{speed}, gives {kind.gives}{emitters}"
-    if (isinstance(kind.poll, Poll) and bool(kind.poll.probe)) and not found.readings:
-        hint = "NAME is the address of the other radio"
-        return f"{head}\ncompanion radio watch '{found.name}:tag=NAME@{at}'  # {hint}"
-    return f"{head}\ncompanion radio watch '{found.name}@{at}'"
+    options, hint = found.needed, "" if not found.needed else "  # options assumed: check them"
+    if isinstance(kind.poll, Poll) and kind.poll.probe and not found.readings:
+        options, hint = {"tag": "NAME"}, "  # NAME is the address of the other radio"
+    pairs = ",".join(
+        f"{k}={v if isinstance(v, str) else str(v).lower()}" for k, v in options.items()
+    )
+    return f"{head}\ncompanion radio watch '{found.name}{':' if pairs else ''}{pairs}@{at}'{hint}"

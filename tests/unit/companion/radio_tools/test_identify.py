@@ -222,6 +222,7 @@ def test_other_devices_are_no_radio(said: bytes) -> None:
 
     assert listener.found is None
     assert listener.found_by_power is None
+    assert listener.refusing is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -234,6 +235,7 @@ def test_noise_is_no_radio(seed: int) -> None:
         listener.feed(data, 0.0)
         assert listener.found is None, listener.found
         assert listener.found_by_power is None, listener.found_by_power
+        assert listener.refusing is None, listener.refusing
 
 
 def test_the_speed_of_a_serial_port_is_tried_and_said() -> None:
@@ -256,6 +258,33 @@ def test_what_is_no_radio_is_said_with_what_was_heard() -> None:
     code, text = identify("udp:127.0.0.1:5005", hear=lambda *_: None)
     assert code == 1
     assert text.startswith("nothing heard at udp:127.0.0.1:5005 in 10 s")
+
+
+def said_of(line: bytes) -> tuple[int, str]:
+    """Code and report for a hundred lines at one address."""
+    return identify("udp:127.0.0.1:5005", hear=lambda _, heard: heard.feed(line * 100, 0.0))
+
+
+def test_what_a_radio_refuses_is_named_with_the_reason() -> None:
+    lost = b'{"Block":1, "results":[{"Addr":"0x0001","Status":"RX_TIMEOUT","D_cm":0}]}\n'
+    code, text = said_of(lost)
+    assert code == 1
+    assert text.endswith("at udp:127.0.0.1:5005, refused by qorvo_cli: status RX_TIMEOUT 100")
+
+
+@pytest.mark.parametrize(
+    ("line", "command"),
+    [
+        (b"RSSI: -61\n", "'rssi:single_emitter=true@udp:127.0.0.1:5005'"),
+        (b"10:22:33:44:55:66 RSSI: -61\n", "'rssi@udp:127.0.0.1:5005'"),
+        (b"time,distance\n1,2000\n", "'android_rtt:unit=mm,single_emitter=true@udp:"),
+    ],
+)
+def test_the_command_has_the_options_that_the_output_needs(line: bytes, command: str) -> None:
+    code, text = said_of(line)
+    assert code == 0
+    assert f"companion radio watch {command}" in text
+    assert text.endswith("check them") == ("true" in command)
 
 
 def test_a_log_is_read_from_its_first_line_which_names_the_columns(tmp_path: Path) -> None:
