@@ -28,6 +28,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
+from select import select
 from typing import BinaryIO, Generic, TypeVar
 
 from companion.errors import CompanionError, ConfigError
@@ -72,6 +73,8 @@ def json_line(value: object) -> bytes:
 
 MAX_PIPED_BYTES = 100_000_000
 """Size from which a pipe counts as endless; chosen: in memory, a tenth of a Raspberry Pi's 1 GB."""
+MAX_SILENCE_S = 60.0
+"""Longest wait for a pipe's next bytes; chosen: its program may ask for a passphrase first."""
 _AT_ONCE = os.O_NONBLOCK | os.O_NOCTTY
 
 
@@ -79,7 +82,7 @@ def open_file(path: Path) -> BinaryIO:
     """Open an input file that is read whole.
 
     A pipe with a writer, as of a process substitution, is read to its end first. Raises an
-    `OSError` also for a pipe without one, which would be waited for, and for a device.
+    `OSError` also for a pipe without one, or that stays silent, and for a device.
     """
     file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | _AT_ONCE))  # noqa: SIM115
     mode = os.fstat(file.fileno()).st_mode
@@ -93,13 +96,14 @@ def open_file(path: Path) -> BinaryIO:
             raise OSError(errno.EINVAL, "a device; give a file")
         if content == b"":
             raise OSError(errno.EPIPE, "a pipe that nothing is written to; give a file")
-        os.set_blocking(file.fileno(), True)
         whole = bytearray(content or b"")
-        while more := file.read1():  # in pieces: an interrupt ends the wait
+        while select([file], [], [], MAX_SILENCE_S)[0]:
+            if not (more := file.raw.read(MAX_BATCH)):
+                return io.BytesIO(whole)
             whole += more
             if len(whole) > MAX_PIPED_BYTES:
                 raise OSError(errno.EFBIG, "a pipe without an end; save it as a file")
-    return io.BytesIO(whole)
+        raise OSError(errno.ETIMEDOUT, "a pipe that was silent for a minute; give a file")
 
 
 def read_bytes(path: Path) -> bytes:
@@ -114,9 +118,6 @@ def read_file(path: Path) -> bytes:
         return read_bytes(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-
-
-DEVICES = (Path("/dev"), Path("/dev/fd"))
 
 
 def write_json_atomic(path: Path, value: object) -> None:
@@ -137,7 +138,7 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        if path.parent in DEVICES or (path.exists() and not path.is_file()):
+        if str(path.parent) in ("/dev", "/dev/fd") or (path.exists() and not path.is_file()):
             path.write_bytes(content)
             return
         temporary.unlink(missing_ok=True)
@@ -293,8 +294,7 @@ logger = logging.getLogger("companion.io")
 MAX_QUEUED = 10_000
 SYNC_PERIOD_S = 1.0
 GATHER_S = SYNC_PERIOD_S
-"""Time for which records are gathered: a thread that wakes for each would take the interpreter from
-the control tick a hundred times a second."""
+"""Time for which records are gathered: their thread seldom interrupts the control tick."""
 _FLAGS = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC
 
 

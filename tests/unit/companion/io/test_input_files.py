@@ -122,6 +122,20 @@ def test_a_pipe_without_an_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> N
     os.close(write_end)
 
 
+@pytest.mark.parametrize("written", [b"", b"emitter"])
+def test_a_pipe_that_its_writer_holds_open_is_given_up(
+    written: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `/dev/stdin` of a program that is started by another one."""
+    monkeypatch.setattr(files, "MAX_SILENCE_S", 0.0)
+    read_end, write_end = os.pipe()
+    os.write(write_end, written)
+    with no_wait(), pytest.raises(OSError, match="silent for a minute; give a file"):
+        open_file(Path(f"/dev/fd/{read_end}"))
+    os.close(read_end)
+    os.close(write_end)
+
+
 def test_a_device_is_no_file_but_the_null_device_is_an_empty_one() -> None:
     main, line = os.openpty()
     with no_wait():
