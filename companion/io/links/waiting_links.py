@@ -171,6 +171,12 @@ class HttpPollLink(WaitingLink):
             self._connection = None
 
 
+def _check_regular(path: Path, name: str) -> None:
+    if not path.is_file():
+        problem = "is no regular file" if path.exists() else "there is no such file"
+        raise LinkError(f"{name}: {problem}")
+
+
 class FileLink(WaitingLink):
     """Growing file, read from its current end; a new file of its name from the beginning."""
 
@@ -179,8 +185,7 @@ class FileLink(WaitingLink):
         self._path = path
 
     def _check(self) -> None:
-        if not self._path.is_file():
-            raise LinkError(f"{self.name}: there is no such file")
+        _check_regular(self._path, self.name)
 
     def _work(self) -> None:
         is_first = True
@@ -223,8 +228,7 @@ class PlayedFileLink(WaitingLink):
         self._path, self._radio, self._speed = path, radio, speed
 
     def _check(self) -> None:
-        if self._path.is_dir() or not self._path.exists():
-            raise LinkError(f"{self.name}: there is no such file")
+        _check_regular(self._path, self.name)
 
     def _work(self) -> None:
         began_s = time.monotonic()

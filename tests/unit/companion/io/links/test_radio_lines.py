@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -144,6 +145,22 @@ def test_standard_input_that_cannot_be_waited_for_is_refused_in_one_line(
         os.dup2(before, 0)
         os.close(before)
         os.close(given)
+
+
+@pytest.mark.parametrize("query", ["", "?play=1"])
+@pytest.mark.parametrize(
+    ("make", "problem"), [(os.mkfifo, "is no regular file"), (str, "there is no such file")]
+)
+def test_what_is_no_regular_file_is_not_followed(
+    make: Callable[[Path], object], problem: str, query: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "log"
+    make(path)
+    setup = radio_setup(RadioConfig(name="nlink"), "test")
+    transport = radio_link(setup, f"file:{path}{query}").transport
+    assert isinstance(transport, OwnLine)
+    with pytest.raises(LinkError, match=f"^file {path}: {problem}$"):
+        asyncio.run(transport.make(0, lambda _: None).open())
 
 
 @pytest.mark.parametrize("name", ["makerfabs_at", "bu01", "bu03", "srsran"])
