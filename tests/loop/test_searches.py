@@ -149,6 +149,6 @@ def test_an_emitter_in_a_keep_out_is_found_from_around_it() -> None:
     mission = SessionParams(engage="auto", stop_radius_m=2.0)
     loop = Loop(CompanionConfig(mission=mission, limits=LIMITS), scenario)
     loop.run_until(lambda: bool(loop.notes.results), 240.0)
-    assert loop.said("estimate is in a keep-out")
+    assert loop.said("estimate in a keep-out")
     assert loop.error_m <= 2.0
     _check_positions(loop)

@@ -17,7 +17,7 @@ import msgspec
 
 from companion.config.schema import CrossingKind, PatternKind
 from companion.domain import NonNegative, Params, Positive
-from companion.errors import ConfigError
+from companion.errors import ConfigError, decoding_problem
 from tools.study.case import Case
 from tools.study.systems import (
     FILTER_LABELS,
@@ -231,7 +231,7 @@ def _case(fields: Mapping[str, Any], where: str) -> Case:
     try:
         case = msgspec.convert(fields, Case, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{where}: {' '.join(str(error).split())}") from None
+        raise ConfigError(f"{where}: {decoding_problem(error)}") from None
     if not (case.channel.range_sigma_m > 0.0 and case.channel.bearing_sigma_deg > 0.0):
         raise ConfigError(f"{where}: a channel without thermal noise has no bound; give it some")
     return case
