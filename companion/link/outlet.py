@@ -26,7 +26,12 @@ from companion.link.binding import AutopilotBinding
 from companion.link.interface import Journal, LinkRole
 from companion.link.text_gate import TextGate
 from companion.mav.codec import CRC_LENGTH, HEADER_LENGTH, MAGIC_V2, MavCodec
-from companion.mav.dialect import MAVLink_target_estimate_message, Message, mavlink
+from companion.mav.dialect import (
+    SETPOINT_IDS,
+    MAVLink_target_estimate_message,
+    Message,
+    mavlink,
+)
 from companion.mav.endpoint import Address, Chunk
 
 KEPT = 1024
@@ -93,13 +98,7 @@ SPARE_IDS = (
 ONBOARD_IDS = frozenset((COMPONENT_ID, *SPARE_IDS))
 NAMED_VALUE_FLOAT = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 """Message of the mark by which companions of this kind recognise each other."""
-RIVALS = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-        MAVLink_target_estimate_message.id,
-    }
-)
+RIVALS = SETPOINT_IDS | {MAVLink_target_estimate_message.id}
 """Messages that only a second companion sends under our ids."""
 
 

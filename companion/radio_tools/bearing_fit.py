@@ -29,6 +29,7 @@ from companion.radio_tools.clustered_fit import (
     Vector,
     figure,
     linear_fit,
+    numbered,
     ratio_figure,
     solved,
     sums_of,
@@ -285,7 +286,7 @@ def fit_bearings(
     amplitudes = [float(math.hypot(*fit.beta[i : i + 2])) for i in range(2, len(fit.beta), 2)]
     labels = _sectors(problem, mount, lag)
     wider = labels // max(1, (int(labels.max()) + 1) // SECTORS)
-    pieces = _numbered(np.floor(problem.times_s / (4.0 * PIECE_S)))
+    pieces = numbered(np.floor(problem.times_s / (4.0 * PIECE_S)))
     sigma, gross = core_sigma(errors, [labels, wider, pieces])
     lag_sigma = math.sqrt(float(fit.covariance[1, 1])) if lag_s is None else math.inf
     return BearingFit(
@@ -354,15 +355,10 @@ def _sectors(problem: _FitProblem, mount: float, lag: float) -> Labels:
     """Return sectors of angle and heading, where elements or compass err; blocks of time if few."""
     off, yaw = problem.off_boresight(mount, lag), problem.yaw(lag)
     turns = [np.floor((a % (2.0 * math.pi)) / (2.0 * math.pi) * SECTORS) for a in (off, yaw)]
-    labels = _numbered(turns[0] * SECTORS + turns[1])
+    labels = numbered(turns[0] * SECTORS + turns[1])
     if int(labels.max()) + 1 >= MIN_SECTORS:
         return labels
-    return _numbered(np.floor(problem.times_s / PIECE_S))
-
-
-def _numbered(values: Vector) -> Labels:
-    _, labels = np.unique(values, return_inverse=True)
-    return labels.reshape(-1).astype(np.int64)
+    return numbered(np.floor(problem.times_s / PIECE_S))
 
 
 def _front(off: Vector) -> Vector:

@@ -100,7 +100,12 @@ def clusters_of(points_m: Matrix, radius_m: float) -> Labels:
             last = point
     squares_m2 = [np.sum((points_m - centre) ** 2, axis=1) for centre in centres]
     nearest = np.argmin(np.array(squares_m2).reshape(len(centres), -1), axis=0)
-    _, labels = np.unique(nearest, return_inverse=True)
+    return numbered(nearest)
+
+
+def numbered(values: Vector | Labels) -> Labels:
+    """Return numbers from 0 that are equal where the values are."""
+    _, labels = np.unique(values, return_inverse=True)
     return labels.reshape(-1).astype(np.int64)
 
 

@@ -39,20 +39,13 @@ from companion.io.log_files import (
 from companion.io.mcap_file import read_mcap_flight
 from companion.link.endpoint import CompanionEndpoint
 from companion.mav.codec import message_id, sender_of
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import SETPOINT_IDS
 from companion.mav.endpoint import Chunk
 from companion.run import FlightView, ViewedJournal
 
 Json = dict[str, object]
 OnInput = Callable[[CompanionEndpoint, float], None]
 """Called after every input: the endpoint, and the flight's time."""
-
-SETPOINT_IDS = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-    }
-)
 
 
 @dataclass(slots=True)

@@ -12,8 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
-from sim_link.autopilot.protocols.message_streams import message_ids
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, SETPOINT_IDS, mavlink
 from sim_link.lab.monitor.independent_checks import FENCE, INWARDS_M, Point
 from sim_link.lab.monitor.scene import Invariant, SentSetpoint, TrueScene
 from sim_link.lab.observer import Frame
@@ -70,7 +69,6 @@ class OwnJumps:
         return is_in_band and scene.depth_m(self._seemed[:2]) >= 0.0
 
 
-SETPOINTS = frozenset(message_ids("SET_POSITION_TARGET_LOCAL_NED SET_POSITION_TARGET_GLOBAL_INT"))
 HEIGHT_ROUNDING_M = 0.05
 """Rounding of heights: home and height are reported in millimetres and by a noisy estimate."""
 CONTROL_FADES_S = 5.0
@@ -192,7 +190,7 @@ class InsideFence(SetpointsInside):
 
     def reached(self, frame: Frame) -> None:
         """Handle a frame of the companion that reached the vehicle."""
-        self._reached += frame.number in SETPOINTS and frame.is_readable
+        self._reached += frame.number in SETPOINT_IDS and frame.is_readable
 
     def _watch_others(self, taken: int) -> None:
         """Note the sender of the last setpoint taken; another's counts until some time after.

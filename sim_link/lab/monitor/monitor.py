@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from companion.domain import FlightMode
-from companion.mav.dialect import mavlink
+from companion.mav.dialect import SETPOINT_IDS, mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
@@ -30,10 +30,6 @@ from sim_link.lab.monitor.scene import (
 from sim_link.lab.observer import Frame, Observer, overriding
 from sim_link.neighbours import Neighbour
 
-SETPOINTS = (
-    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
-    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
-)
 VEHICLE_PEER = ("127.0.0.1", 14580)
 """Address of the vehicle in lockstep."""
 NOTICE_S = 2.0
@@ -265,7 +261,7 @@ class Monitor(FrameMonitor):
         message, setup = frame.message, neighbour.setup
         is_command = isinstance(message, mavlink.MAVLink_command_long_message)
         is_asking = is_command and getattr(message, "command", 0) in authority_invariants.RAISES
-        is_obeyed = is_asking or frame.number in SETPOINTS
+        is_obeyed = is_asking or frame.number in SETPOINT_IDS
         if not is_obeyed or getattr(message, "target_system", 0) not in (0, setup.system_id):
             return
         is_alike = setup.system_id == self.scene.system_id and neighbour.peer == VEHICLE_PEER
