@@ -411,7 +411,7 @@ def inspect_link(
         component_id = config.link.component_id
         probe = DoctorProbe(name, config.vehicle.system_id, authenticity, duration_s, component_id)
         before = process_use()
-        Shell(probe, [link], clock).run_blocking()
+        Shell(probe, [link], clock).run_whole()
         use, took_s = process_use(), clock.now_s()
         return replace(
             probe.facts(),

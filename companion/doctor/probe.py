@@ -301,7 +301,7 @@ def _inspect(radio: RadioConfig, duration_s: float) -> RadioFacts:
     try:
         setup = radio_setup(radio, f"radio {radio.name}")
         probe = RadioProbe(setup, duration_s)
-        Shell(probe, [radio_link(setup, url).transport], Clock()).run_blocking()
+        Shell(probe, [radio_link(setup, url).transport], Clock()).run_whole()
     except CompanionError as error:
         return RadioFacts(radio.name, url, str(error))
     uncalibrated = []

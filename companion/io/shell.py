@@ -236,6 +236,12 @@ class Shell:
         with asyncio.Runner(loop_factory=self._make_loop) as runner:
             runner.run(self.run())
 
+    def run_whole(self) -> None:
+        """Call `run_blocking`; raises KeyboardInterrupt if a signal cut it short."""
+        self.run_blocking()
+        if self._is_stopping:
+            raise KeyboardInterrupt
+
     def request_stop(self) -> None:
         """Begin an orderly end; from any thread, before or during `run`, any number of times."""
         self._stop_wanted.set()

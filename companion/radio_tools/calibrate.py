@@ -310,7 +310,7 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     plain = neutral(setup)
     every = msgspec.structs.replace(plain.settings, rate_max_hz=None)
     listener = _Listener(replace(plain, settings=every), arguments.seconds or LISTEN_S)
-    Shell(listener, [link.transport], Clock()).run_blocking()
+    Shell(listener, [link.transport], Clock()).run_whole()
     ranges_m = listener.ranges_of(arguments.emitter)
     if isinstance(ranges_m, str):
         return EXIT_REFUSED, ranges_m

@@ -278,7 +278,7 @@ def listen(attempt: Attempt, listener: Listener) -> None:
     setup = radio_setup(RadioConfig(name=attempt.radio), "identify")
     link = radio_link(setup, attempt.url, is_probed=True)
     listening = RadioListener(listener, attempt.share_s, attempt.most_s)
-    Shell(listening, [link.transport], Clock()).run_blocking()
+    Shell(listening, [link.transport], Clock()).run_whole()
 
 
 def identify(

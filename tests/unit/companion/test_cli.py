@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
 
 from companion.cli import COMMANDS, FLY, main
-from companion.errors import EXIT_BAD_INPUT
+from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED
 from companion.guidance.commands import Severity
 from companion.io.flight_recorder import BlackBox
 from companion.view.log_lines import set_up_logging
+from tests.ports import free_port
 
 OPEN = "udp:0.0.0.0:14999"
 
@@ -174,3 +177,47 @@ def test_each_subcommand_has_arguments(subcommand: str, capsys: pytest.CaptureFi
     with pytest.raises(SystemExit, match="0"):
         main((subcommand, "--help"))
     assert f"companion {subcommand} " in capsys.readouterr().out
+
+
+@pytest.fixture
+def restored_signals() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("listener", "command"),
+    [
+        ("doctor.probe.DoctorProbe", "doctor --connect udp::{0}"),
+        ("doctor.probe.RadioProbe", "doctor --connect udp::{0} --radio ndjson@udp::{1}"),
+        ("radio_tools.identify.RadioListener", "radio identify @tcp:127.0.0.1:{0}"),
+        ("radio_tools.calibrate._Listener", "radio calibrate --beside 1 --radio ndjson@udp::{0}"),
+    ],
+)
+@pytest.mark.usefixtures("restored_signals")
+def test_what_was_heard_until_an_interrupt_is_no_result(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    listener: str,
+    command: str,
+) -> None:
+    """Neither fit to fly, nor silent, nor an offset."""
+
+    def interrupt(*_: object) -> None:
+        os.kill(os.getpid(), number)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    monkeypatch.setattr("companion.doctor.probe.TIMEOUT_S", 0.0)
+    monkeypatch.setattr(f"companion.{listener}.handle_timer", interrupt)
+    arguments = command.format(free_port(), free_port()).split()
+    assert main(arguments) == EXIT_FAILED
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.splitlines()[-1] == "companion: interrupted"
