@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 import re
+import sys
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeAlias, get_args
 
 from companion import __version__
-from companion.errors import ConfigError
+from companion.errors import ConfigError, meant
 
 AUTOPILOTS = ("px4", "ardupilot")
 USUAL_LINK = "serial:/dev/ttyAMA0:921600"
@@ -75,6 +77,23 @@ class RaisingParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise `ConfigError` for wrong arguments."""
         raise ConfigError(f"{message} ({self.prog} --help shows how)")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; an unknown option is the error, not the word behind it."""
+        given = sys.argv[1:] if args is None else list(args)
+        commands = {n for a in self._actions if a.nargs == argparse.PARSER for n in a.choices or ()}
+        for word in takewhile(lambda word: word != "--" and word not in commands, given):
+            name, known = word.partition("=")[0], self._option_string_actions
+            if name.startswith("--") and not any(option.startswith(name) for option in known):
+                self.error(f"{name}: no such option{meant(name, known, cutoff=0.75)}")
+        return super().parse_known_args(given, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a word that is none of an argument's, and name the one that was meant."""
+        if action.choices is not None and value not in action.choices:
+            words = [str(choice) for choice in action.choices]
+            name = "".join(f"{option}: " for option in action.option_strings[:1])
+            self.error(f"{name}{value} is none of {', '.join(words)}{meant(str(value), words)}")
 
 
 Options = argparse._ActionsContainer
@@ -427,22 +446,3 @@ def _add_calibrate(calibrate: Options) -> None:
     _option(calibrate, "--connect", "URL", "link to the autopilot", dest="link")
     _add_listening(calibrate, "duration in seconds (default: until Ctrl-C)")
     _file(calibrate, "--json", "write all figures as JSON")
-
-
-FLIGHT_OPTIONS = (
-    "connect ranging radio gcs cot fence signing_key insecure fresh once "
-    "web_control web_token web_open"
-)
-SHARED_OPTIONS = "config speed web web_tiles"
-
-
-def check_order_of_options(arguments: argparse.Namespace) -> None:
-    """Refuse options of flying in front of a subcommand, which would ignore them."""
-    if arguments.command is None:
-        return
-    attributes = {name: name for name in FLIGHT_OPTIONS.split()}
-    attributes |= {name: f"fly_{name}" for name in SHARED_OPTIONS.split()}
-    for name, attribute in attributes.items():
-        if getattr(arguments, attribute) not in (None, [], False):
-            option, word = f"--{name.replace('_', '-')}", arguments.command
-            raise ConfigError(f"{option} in front of `{word}` has no effect; put options after it")

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from pkgutil import resolve_name
 from typing import TypeAlias
 
-from companion.arguments import argument_parser, check_order_of_options
-from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED, CompanionError
+from companion.arguments import argument_parser
+from companion.errors import EXIT_BAD_INPUT, EXIT_FAILED, CompanionError, ConfigError
 from companion.view.log_lines import set_up_logging
 
 Command: TypeAlias = Callable[[argparse.Namespace], int]
@@ -61,3 +61,22 @@ def _run(argv: Sequence[str] | None, on_loaded: Callable[[], object]) -> int:
     command: Command = resolve_name(COMMANDS.get(arguments.command, FLY))
     on_loaded()
     return command(arguments)
+
+
+FLIGHT_OPTIONS = (
+    "connect ranging radio gcs cot fence signing_key insecure fresh once "
+    "web_control web_token web_open"
+)
+SHARED_OPTIONS = "config speed web web_tiles"
+
+
+def check_order_of_options(arguments: argparse.Namespace) -> None:
+    """Refuse options of flying in front of a subcommand, which would ignore them."""
+    if arguments.command is None:
+        return
+    attributes = {name: name for name in FLIGHT_OPTIONS.split()}
+    attributes |= {name: f"fly_{name}" for name in SHARED_OPTIONS.split()}
+    for name, attribute in attributes.items():
+        if getattr(arguments, attribute) not in (None, [], False):
+            option, word = f"--{name.replace('_', '-')}", arguments.command
+            raise ConfigError(f"{option} in front of `{word}` has no effect; put options after it")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import sys
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOT_FOUND = 1, 2, 3
 """Exit codes: failed run; bad input or unopened link; search that ended with nothing heard."""
@@ -32,6 +34,12 @@ def how_to_install(*packages: str) -> str:
     It needs no pip in there: the Debian package and pipx have none.
     """
     return f"python3 -m pip --python {shlex.quote(sys.executable)} install {shlex.join(packages)}"
+
+
+def meant(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return the question after an unknown word; empty if no known one is similar enough."""
+    near = get_close_matches(word.lower(), words, n=1, cutoff=cutoff)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 _CONTROLS = re.compile(

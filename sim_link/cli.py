@@ -42,7 +42,6 @@ DEFAULT_LISTEN = "127.0.0.1:14580"
 DEFAULT_SEND_TO = ("127.0.0.1:14550", "127.0.0.1:14540")
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
-SUBCOMMANDS = ("mission", "radio", "proxy")
 MAX_SPEED = 1000.0
 MAX_VEHICLES = 250
 MAX_BOOT_S = 3600.0
@@ -72,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else list(argv)
     ignore_broken_pipe()
     try:
-        if given and given[0] in SUBCOMMANDS:
+        if given and not given[0].startswith("-"):
             return run_subcommand(given)
         return _run(simulator_parser().parse_args(given))
     except CompanionError as error:

@@ -19,6 +19,7 @@ from typing import NoReturn, TextIO, TypeVar
 from rich.console import Console
 from rich.progress import Progress
 
+from companion.arguments import RaisingParser
 from sim_link.lab.pool import LOCAL, open_pool
 
 EXIT_BAD_INPUT = 2
@@ -26,7 +27,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class OneLineParser(argparse.ArgumentParser):
+class OneLineParser(RaisingParser):
     """Parser that reports errors in one line, without the usage in front of it."""
 
     def error(self, message: str) -> NoReturn:

@@ -15,14 +15,13 @@ import math
 import re
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import yaml
 
-from companion.errors import ConfigError, in_words, located
+from companion.errors import ConfigError, in_words, located, meant
 from companion.io.files import open_file
 
 T = TypeVar("T")
@@ -343,8 +342,8 @@ def _on_unknown_key(kind: type, path: str, key: str) -> str:
     plain = "".join(key.split())
     if plain in names:
         return "unknown key: it contains an unusual space character; retype it"
-    if near := get_close_matches(plain.lower(), names, n=1):
-        return f"unknown key; did you mean {near[0]}?"
+    if near := meant(plain, names):
+        return f"unknown key{near}"
     if "[" in path:
         return UNKNOWN
     owners = [

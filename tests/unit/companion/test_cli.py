@@ -179,6 +179,25 @@ def test_each_subcommand_has_arguments(subcommand: str, capsys: pytest.CaptureFi
     assert f"companion {subcommand} " in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ("--conect udp::1", "--conect: no such option; did you mean --connect? (companion --help"),
+        ("demo --sped 4", "--sped: no such option; did you mean --speed? (companion demo --help"),
+        ("demo --sped=4", "--sped: no such option; did you mean --speed? (companion demo --help"),
+        ("demo --fly", "--fly: no such option (companion demo --help shows how)"),
+        ("replya walk.csv", "replya is none of demo, "),
+        ("replya walk.csv", "; did you mean replay? (companion --help shows how)"),
+        ("radio wacth", "; did you mean watch? (companion radio --help shows how)"),
+        ("demo --autopilot PX4", "--autopilot: PX4 is none of px4, ardupilot; did you mean px4?"),
+    ],
+)
+def test_a_mistyped_word_is_named_with_the_one_that_was_meant(
+    capsys: pytest.CaptureFixture[str], typed: str, words: str
+) -> None:
+    assert words in complaint(capsys, *typed.split())
+
+
 @pytest.fixture
 def restored_signals() -> Iterator[None]:
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

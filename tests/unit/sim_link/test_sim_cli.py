@@ -35,6 +35,7 @@ def taken_port() -> Iterator[int]:
         (["--report", "no/such/folder/report.json"], "no/such/folder"),
         (["--report", ""], "--report"),
         (["--nonsense"], "--nonsense"),
+        (["misson", "run", "a.yaml"], "misson is none of mission, radio, proxy; did you mean m"),
         (["--autopilot", "betaflight"], "--autopilot"),
         (["--ready-after", "-1"], "--ready-after"),
         (["--ready-after", "nan"], "--ready-after"),

@@ -9,8 +9,9 @@ from textwrap import dedent
 
 import pytest
 
-from companion.arguments import argument_parser, check_order_of_options
-from sim_link.cli import SUBCOMMANDS, simulator_parser, subcommand_parser
+from companion.arguments import argument_parser
+from companion.cli import check_order_of_options
+from sim_link.cli import simulator_parser, subcommand_parser
 from sim_link.lab.conformance.cli import parsed_arguments
 from tests.unit.tools.test_commands_in_pages import PAGES, ROOT
 
@@ -64,7 +65,7 @@ def understand(words: list[str]) -> None:
     match program:
         case "companion":
             check_order_of_options(argument_parser().parse_args(rest))
-        case "sim-link" if rest and rest[0] in SUBCOMMANDS:
+        case "sim-link" if rest and not rest[0].startswith("-"):
             subcommand_parser().parse_args(rest)
         case "sim-link":
             simulator_parser().parse_args(rest)
