@@ -153,11 +153,12 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        with suppress(OSError):  # on a disk that went read-only the temporary file stays
-            temporary.unlink(missing_ok=True)
         raise CompanionError(
             f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
         ) from error
+    finally:
+        with suppress(OSError):  # on a disk that went read-only the temporary file stays
+            temporary.unlink(missing_ok=True)
 
 
 def check_writable(path: Path) -> None:

@@ -81,9 +81,9 @@ def write_files(directory: Path, contents: Mapping[Path, bytes]) -> None:
             files[str(path.absolute())] = _sum(content)
         text = msgspec.json.format(msgspec.json.encode(SetupRecord(files)), indent=2)
         write_bytes_atomic(directory / RECORD, text + b"\n")
-    except (CompanionError, OSError) as error:
+    except BaseException as error:  # an interrupt, too
         _undo(earlier, kept)
-        if isinstance(error, CompanionError):
+        if not isinstance(error, OSError):
             raise
         raise CompanionError(f"{directory}: cannot be created ({error.strerror})") from error
 

@@ -268,6 +268,27 @@ def test_where_one_file_cannot_be_written_all_is_as_before(
     assert tree(tmp_path) == before
 
 
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_where_it_is_interrupted_while_it_writes_all_is_as_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """A slow card takes seconds for each file."""
+    etc = tmp_path / "etc"
+    etc.mkdir()
+    (etc / "companion.yaml").write_text("mission: {altitude_m: 30}\n")
+    before = tree(tmp_path)
+    synced: list[int] = []
+
+    def sync(descriptor: int) -> None:
+        synced.append(descriptor)
+        if len(synced) == 2 * number - 1:  # the file, then its folder
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.fsync", sync)
+    assert setup(etc, "--connect", SERIAL) == EXIT_FAILED
+    assert tree(tmp_path) == before
+
+
 def test_the_service_is_the_projects_own_unit_for_this_installation(tmp_path: Path) -> None:
     etc, units = tmp_path / "etc", tmp_path / "units"
     units.mkdir()
