@@ -153,9 +153,8 @@ def write_bytes_atomic(path: Path, content: bytes, mode: int = 0o666) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise CompanionError(
-            f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
-        ) from error
+        text = f"{path}: cannot be written ({error.strerror}); check the disk and its permissions"
+        raise CompanionError(text) from error
     finally:
         with suppress(OSError):  # on a disk that went read-only the temporary file stays
             temporary.unlink(missing_ok=True)

@@ -231,6 +231,8 @@ def read_searched(flight: Path) -> SearchedFlight:
     """Return the searched area of a flight in a folder; raise `ConfigError` if there is none."""
     directory = flight if flight.is_dir() else flight.parent
     path = directory / RECORD
+    if not flight.exists():
+        raise ConfigError(f"{flight}: there is no such file or folder")
     if not path.exists():
         raise ConfigError(
             f"{directory}: has no {RECORD}; it had contact at once, or the flight is older"

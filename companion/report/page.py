@@ -30,7 +30,7 @@ from companion.estimation.filters.target_filter import threshold
 from companion.flight_setup import FlightFacts, open_flight
 from companion.geometry.polygons import CHI2_95_TWO, Point
 from companion.handoff import mgrs_text, utc_text
-from companion.io.files import EVENTS, REPORT, write_text_atomic
+from companion.io.files import EVENTS, REPORT, check_writable, write_text_atomic
 from companion.io.log_files import damage_text, event_lines
 from companion.report.charts import (
     Chart,
@@ -370,6 +370,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the report that the command line asks for, and print its path."""
     if arguments.web_tiles is not None:
         check_tiles(arguments.web_tiles)
+    if arguments.output is not None:
+        check_writable(arguments.output)
     print(write_report(arguments.flight, arguments.output, arguments.web_tiles, _warn))
     return 0
 

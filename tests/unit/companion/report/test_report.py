@@ -14,8 +14,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from companion.cli import main
 from companion.config.schema import CompanionConfig, LimitsConfig
-from companion.errors import ConfigError
+from companion.errors import EXIT_BAD_INPUT, ConfigError
 from companion.estimation.filters.kalman import asymmetric_huber_loss
 from companion.flight_setup import FlightFacts, write_facts
 from companion.geometry.coordinates import Projection, tile_at
@@ -326,6 +327,21 @@ def test_it_is_written_beside_the_flight(tmp_path: Path) -> None:
     other = tmp_path / "other.html"
     assert write_report(tmp_path / EVENTS, other) == other
     assert other.read_text() == path.read_text()
+
+
+@pytest.mark.parametrize("output", [".", "", "folder"])
+def test_an_output_that_is_a_folder_is_refused_in_words(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    output: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    write_facts(tmp_path, FACTS)
+    (tmp_path / EVENTS).write_bytes(b"")
+    assert main(["report", str(tmp_path), "--output", output]) == EXIT_BAD_INPUT
+    assert "is a folder; give the name of a file" in capsys.readouterr().err
 
 
 def test_a_folder_without_a_flight_is_refused_in_words(tmp_path: Path) -> None:

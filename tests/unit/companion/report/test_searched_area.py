@@ -117,6 +117,16 @@ def test_what_is_missing_or_damaged_is_one_line(
     assert problem in line
 
 
+def test_a_flight_that_is_not_there_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in (["show"], ["merge", "--out", str(tmp_path / "out")]):
+        assert main(["area", *command, str(tmp_path / "nowhere")]) == 2
+        assert capsys.readouterr().err == (
+            f"companion: {tmp_path / 'nowhere'}: there is no such file or folder\n"
+        )
+
+
 def test_a_grid_whose_rows_differ_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
