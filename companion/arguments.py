@@ -120,6 +120,7 @@ def number_in(
 
 
 _SPEED = number_in(0.0, MAX_SPEED, is_open=True)
+_LISTENING_S = number_in(0.0, 86_400.0, is_open=True)
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -394,7 +395,7 @@ def _add_radio(commands: Commands) -> None:
         description="Listen at an address (a serial port: at its usual speeds) and name the radio.",
     )
     identify.add_argument("url", metavar="@URL", help="address as in NAME@URL")
-    _option(identify, "--seconds", "S", "duration in seconds", type=float, default=10.0)
+    _option(identify, "--seconds", "S", "duration in seconds", type=_LISTENING_S, default=10.0)
     watch = parts.add_parser(
         "watch",
         help="show the readings of a radio, live",
@@ -424,7 +425,7 @@ def _add_radio(commands: Commands) -> None:
 
 def _add_listening(options: Options, text: str) -> None:
     _config(options)
-    _option(options, "--seconds", "S", text, type=float)
+    _option(options, "--seconds", "S", text, type=_LISTENING_S)
     _switch(options, "--insecure", "listen beyond this machine, too", dest="is_insecure")
 
 

@@ -198,6 +198,17 @@ def test_a_mistyped_word_is_named_with_the_one_that_was_meant(
     assert words in complaint(capsys, *typed.split())
 
 
+@pytest.mark.parametrize(
+    "command", ["identify @udp::1", "watch ndjson@udp::1", "record a", "calibrate --beside 1"]
+)
+@pytest.mark.parametrize("seconds", ["nan", "inf", "0", "-1", "1e300", ""])
+def test_a_radio_is_listened_to_for_a_time_that_can_be(
+    capsys: pytest.CaptureFixture[str], command: str, seconds: str
+) -> None:
+    line = complaint(capsys, "radio", *command.split(), "--seconds", seconds)
+    assert f"--seconds: `{seconds}` is not a number above 0" in line
+
+
 @pytest.fixture
 def restored_signals() -> Iterator[None]:
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
