@@ -357,28 +357,28 @@ MAX_S = 600.0
 class TimeToGo:
     """Extrapolates R95, which shrinks about exponentially, to the radius of the report."""
 
-    def __init__(self, stop_radius_m: float = 1.0, confirm_s: float = 0.0) -> None:
-        self._stop_radius_m = stop_radius_m
-        self._confirm_s = confirm_s
+    def __init__(self) -> None:
         self._radii: deque[tuple[float, float]] = deque()
         self._under_since_s: float | None = None
 
     def of_flight(self, endpoint: CompanionEndpoint, now_s: float) -> float | None:
         """Return the seconds to go of a flight, whose stop rule a station may change, or None."""
         params, estimate = endpoint.session.params, endpoint.session.estimate
-        self._stop_radius_m, self._confirm_s = params.stop_radius_m, params.stop_confirm_s
-        return self.observe(now_s, None if estimate is None else estimate.settled_r95_m)
+        r95_m = None if estimate is None else estimate.settled_r95_m
+        return self.observe(now_s, r95_m, params.stop_radius_m, params.stop_confirm_s)
 
-    def observe(self, now_s: float, r95_m: float | None) -> float | None:
+    def observe(
+        self, now_s: float, r95_m: float | None, stop_radius_m: float, confirm_s: float
+    ) -> float | None:
         """Return the seconds to go; None: unknown, as without an R95."""
         if r95_m is None or not r95_m > 0.0:
             self._radii.clear()
             self._under_since_s = None
             return None
-        if r95_m <= self._stop_radius_m:
+        if r95_m <= stop_radius_m:
             since_s = now_s if self._under_since_s is None else self._under_since_s
             self._under_since_s = since_s
-            return max(0.0, self._confirm_s - (now_s - since_s))
+            return max(0.0, confirm_s - (now_s - since_s))
         self._under_since_s = None
         self._radii.append((now_s, math.log(r95_m)))
         while now_s - self._radii[0][0] > WINDOW_S:
@@ -390,7 +390,7 @@ class TimeToGo:
         rate = (first - log_r95) / (now_s - first_s)
         if rate <= 0.0:
             return None
-        to_go_s = (log_r95 - math.log(self._stop_radius_m)) / rate + self._confirm_s
+        to_go_s = (log_r95 - math.log(stop_radius_m)) / rate + confirm_s
         return to_go_s if to_go_s <= MAX_S else None
 
 
