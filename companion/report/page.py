@@ -260,26 +260,20 @@ def fence_of(
     return limits.fence_enu_m if limits.is_fence_local else (), limits.keep_out_enu_m
 
 
-@dataclass(frozen=True, slots=True)
-class HuberDistribution:
-    """Density exp(-loss) of the asymmetric Huber loss, normalised."""
+def huber_cumulative(sigma: float, k_long: float, k_short: float, value: float) -> float:
+    """Return the probability of less than a value, with the density exp(-loss).
 
-    sigma: float
-    k_long: float
-    k_short: float
-
-    def cumulative(self, value: float) -> float:
-        """Return the probability of less than a value: two tails, and a Gaussian between them."""
-        u, k_long, k_short = value / self.sigma, self.k_long, self.k_short
-        long, short = _tail(k_long), _tail(k_short)
-        core = _half_core(k_long) + _half_core(k_short)
-        if u < -k_short:
-            below = math.exp(k_short * (u + 0.5 * k_short)) / k_short
-        elif u <= k_long:
-            below = short + _half_core(k_short) + _half_core(u)
-        else:
-            below = short + core + long - math.exp(k_long * (0.5 * k_long - u)) / k_long
-        return below / (short + core + long)
+    The loss is the asymmetric one of Huber: two tails, and a Gaussian between them.
+    """
+    u, long, short = value / sigma, _tail(k_long), _tail(k_short)
+    core = _half_core(k_long) + _half_core(k_short)
+    if u < -k_short:
+        below = math.exp(k_short * (u + 0.5 * k_short)) / k_short
+    elif u <= k_long:
+        below = short + _half_core(k_short) + _half_core(u)
+    else:
+        below = short + core + long - math.exp(k_long * (0.5 * k_long - u)) / k_long
+    return below / (short + core + long)
 
 
 def _tail(k: float) -> float:
@@ -293,9 +287,8 @@ def _half_core(u: float) -> float:
 def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | None]:
     """Return charts of R95, offset, residuals, their histogram with the fitted loss, and NIS."""
     noise = config.estimation.filter
-    expected = HuberDistribution(
-        noise.range_sigma_m, threshold(noise.range_k_long), threshold(noise.range_k_short)
-    )
+    thresholds = threshold(noise.range_k_long), threshold(noise.range_k_short)
+    expected = partial(huber_cumulative, noise.range_sigma_m, *thresholds)
     over_time = TimeCharts(summary.ended_s)
     points = summary.estimates
     radii = [(p.time_s, max(p.r95_m, MIN_M)) for p in points]
@@ -312,7 +305,7 @@ def charts_of(summary: FlightSummary, config: CompanionConfig) -> list[Chart | N
             "Residuals and fitted loss",
             "bars: number of residuals over metres; line: number that the filter's loss expects",
             [value for _, value in residuals],
-            expected.cumulative,
+            expected,
         ),
         _nis_chart(over_time, _known((p.time_s, p.nis) for p in points)),
     ]
