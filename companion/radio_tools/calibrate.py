@@ -255,6 +255,12 @@ MAX_SHOWN = 8
 """Emitters that are named to choose from."""
 
 
+def robust_sigma(values: Sequence[float]) -> float:
+    """Return the standard deviation by the median distance from the median."""
+    middle = statistics.median(values)
+    return SIGMA_OF_MAD * statistics.median(abs(value - middle) for value in values)
+
+
 class _Listener(OneShotEndpoint):
     """Collects the uncorrected ranges of a radio."""
 
@@ -315,10 +321,9 @@ def _offset_beside(arguments: argparse.Namespace) -> tuple[int, str]:
     if isinstance(ranges_m, str):
         return EXIT_REFUSED, ranges_m
     middle_m = statistics.median(ranges_m)
-    scatter_m = SIGMA_OF_MAD * statistics.median(abs(each - middle_m) for each in ranges_m)
     offset = KeptOffset(
         range_offset_m=round(middle_m - distance_m, 3),
-        scatter_m=round(scatter_m, 3),
+        scatter_m=round(robust_sigma(ranges_m), 3),
         ranges=len(ranges_m),
         unix_s=round(time.time(), 0),
     )

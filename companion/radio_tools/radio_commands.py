@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import statistics
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +37,6 @@ from companion.radios.decoder import known_radios, radio_kind
 LINE_S = 1.0
 KEPT = 50
 """Measurements of an emitter that its scatter is of."""
-SIGMA_OF_MAD = 1.4826
 MAX_SHOWN = 12
 """Emitters of a radio that get a line."""
 
@@ -98,9 +96,7 @@ def scatter_of(values: Sequence[float | None], *, is_angle: bool = False) -> flo
         steps = [wrap_pi(step) for step in steps]
     if len(steps) < 5:
         return None
-    middle = statistics.median(steps)
-    spread = statistics.median(abs(step - middle) for step in steps)
-    return SIGMA_OF_MAD * spread / math.sqrt(2.0)
+    return calibrate.robust_sigma(steps) / math.sqrt(2.0)
 
 
 def _strongest(powers_dbm: Mapping[str, float | None]) -> list[str]:
