@@ -103,6 +103,12 @@ def is_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
+def obey_termination() -> None:
+    """Treat SIGTERM as a Ctrl-C, unless the parent process has it ignored."""
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
 def main() -> int:
     """Load the command and run it; the exit code is that of `companion.cli.main`.
 
@@ -119,14 +125,14 @@ def main() -> int:
 
     def obey() -> None:
         signal.signal(signal.SIGINT, before)
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, signal.default_int_handler)
+        obey_termination()
 
     try:
-        code = run(on_loaded=obey)
-        sys.stdout.flush()
+        try:
+            return run(on_loaded=obey)
+        finally:  # also after --help
+            sys.stdout.flush()
     except OutputLostError as error:
         sys.stderr.write(f"companion: standard output: {error.strerror}\n")
         sys.stdout = sys.stderr  # which drops the rest silently
         return 1
-    return code

@@ -15,7 +15,7 @@ import msgspec
 
 from companion import __version__
 from companion.arguments import RaisingParser, number_in
-from companion.entry import ignore_broken_pipe, is_interrupt
+from companion.entry import OutputLostError, ignore_broken_pipe, is_interrupt, obey_termination
 from companion.errors import CompanionError, ConfigError, decoding_problem
 from companion.io.child_processes import clock_of
 from companion.io.links.transports import Transport, parse_transport, udp_address
@@ -70,13 +70,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     given = sys.argv[1:] if argv is None else list(argv)
     ignore_broken_pipe()
+    if argv is None:  # a process of its own
+        obey_termination()
     try:
-        if given and not given[0].startswith("-"):
-            return run_subcommand(given)
-        return _run(simulator_parser().parse_args(given))
+        try:
+            if given and not given[0].startswith("-"):
+                return run_subcommand(given)
+            return _run(simulator_parser().parse_args(given))
+        finally:  # also after --help
+            sys.stdout.flush()
     except CompanionError as error:
         print(f"sim-link: {error}", file=sys.stderr)
         return EXIT_BAD_INPUT
+    except OutputLostError as error:
+        print(f"sim-link: standard output: {error.strerror}", file=sys.stderr)
+        sys.stdout = sys.stderr  # which drops the rest silently
+        return EXIT_FAILED
     except (KeyboardInterrupt, SystemError) as problem:  # before what has an end of its own
         if not is_interrupt(problem):
             raise

@@ -151,9 +151,10 @@ def test_closed_streams_are_quiet_and_the_exit_code_is_the_same(
 
 
 def test_a_full_disk_under_the_output_is_one_line_and_a_failed_run(tmp_path: Path) -> None:
-    done = run("companion config show > /dev/full", tmp_path)
-    assert done.returncode == 1
-    assert done.stderr == b"companion: standard output: No space left on device\n"
+    for command in ("companion config show", "companion --help"):
+        done = run(f"{command} > /dev/full", tmp_path)
+        assert done.returncode == 1
+        assert done.stderr == b"companion: standard output: No space left on device\n"
     assert run("companion config show --config none.yaml 2> /dev/full", tmp_path).returncode == 2
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -120,3 +122,25 @@ def test_help_and_version(option: str, word: str, capsys: pytest.CaptureFixture[
         main([option])
     assert caught.value.code == 0
     assert word in capsys.readouterr().out
+
+
+def test_a_termination_is_an_interrupt() -> None:
+    """A mission's vehicle is landed, and its results are written, as after Ctrl-C."""
+    program = (
+        "import os, signal, sys; from sim_link import cli\n"
+        "cli.run_subcommand = lambda _: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.exit(cli.main())"
+    )
+    command = [sys.executable, "-c", program, "mission"]
+    done = subprocess.run(command, capture_output=True, timeout=60.0, check=False)
+    assert (done.returncode, done.stderr) == (1, b"sim-link: interrupted\n")
+
+
+def test_a_full_disk_under_the_output_is_one_line_and_a_failed_run() -> None:
+    command = [sys.executable, "-m", "sim_link", "--version"]
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, timeout=60.0, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == b"sim-link: standard output: No space left on device\n"
