@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -17,7 +16,7 @@ from typing import Any
 
 import msgspec
 
-from companion.entry import ignore_broken_pipe
+from companion.entry import ignore_broken_pipe, obey_termination
 from companion.errors import CompanionError, ConfigError
 from companion.io.files import write_json_atomic, write_text_atomic
 from sim_link.lab.pool import WorkerLostError, open_pool
@@ -40,7 +39,7 @@ STUDIES = Path(__file__).resolve().parent.parent / "configs" / "studies"
 def main() -> int:
     """Run or resume a study, and write its folder; return the exit code."""
     arguments = parsed()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    obey_termination()
     try:
         out: Path = arguments.out or Path("studies") / Path(arguments.study).stem
         if arguments.study in SIMULATED:
@@ -60,7 +59,9 @@ def main() -> int:
     except CompanionError as error:
         code, text = 1, str(error)
     except KeyboardInterrupt:
-        code, text = 1, "stopped; what is done is kept, run the same command again to go on"
+        kept, on = "what is done is kept, ", " to go on"
+        kept, on = ("", "") if arguments.study in SIMULATED else (kept, on)
+        code, text = 1, f"stopped; {kept}run the same command again{on}"
     say(f"run_study: {text}")
     return code
 

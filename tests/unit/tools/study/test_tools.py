@@ -83,3 +83,30 @@ def test_figures_are_printed() -> None:
     done = _run("bench.py", "filters", "--rounds", "1")
     assert done.returncode == 0
     assert "filterpy update" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("study", "words"),
+    [
+        ("area", "stopped; run the same command again"),
+        ("step_size", "stopped; what is done is kept, run the same command again to go on"),
+    ],
+)
+def test_only_what_can_go_on_is_said_to_be_kept(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    study: str,
+    words: str,
+) -> None:
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    main = _main("run_study.py")
+    module = sys.modules["run_study"]
+    monkeypatch.setattr(module, "run", interrupted)
+    monkeypatch.setattr(module, "run_simulated", interrupted)
+    monkeypatch.setattr(module, "obey_termination", lambda: None)
+    monkeypatch.setattr(sys, "argv", ["run_study.py", study, "--out", str(tmp_path)])
+    assert main() == 1
+    assert capsys.readouterr().err == f"run_study: {words}\n"
