@@ -111,9 +111,11 @@ def _replay_walk(arguments: argparse.Namespace, config: CompanionConfig) -> int:
     is_beside = arguments.json is not None and arguments.json.resolve() == beside.resolve()
     if is_beside and stated_accuracy(arguments.file) != WalkAccuracy():
         raise ConfigError(f"--json: {beside} describes the walk; choose another file")
-    results = replay_walk(arguments.file, config.tracking, progress, arguments.own_sigma)
-    if sys.stderr.isatty():
-        print("\r", end="", file=sys.stderr)
+    try:
+        results = replay_walk(arguments.file, config.tracking, progress, arguments.own_sigma)
+    finally:
+        if sys.stderr.isatty():
+            print("\r", end="", file=sys.stderr)
     print(_table(results, config.estimation.localised_r95_m))
     if arguments.explain:
         print(_explanation(results))

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -421,3 +421,16 @@ def test_errors_that_repeat_are_named_in_the_budget(tmp_path: Path) -> None:
     assert wave["thermal noise"] == pytest.approx(calm["thermal noise"], rel=0.3)
     assert wave["errors that repeat"] > 1.5 * wave["noise as measured"]
     assert calm["errors that repeat"] < 1.2 * calm["noise as measured"]
+
+
+def test_what_ends_a_replay_is_written_over_its_progress(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: Path, __: object, progress: Callable[[int], None], ___: object) -> None:
+        progress(1000)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("companion.replay.replay_commands.replay_walk", interrupted)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert main(["replay", str(tmp_path / "walk.csv")]) == 1
+    assert capsys.readouterr().err == "\r1000 rows\rcompanion: interrupted\n"
