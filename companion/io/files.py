@@ -3,9 +3,8 @@
 `WriterThread` empties a bounded queue. A full one (a disk, a terminal or a pipe that hangs) loses
 items, which are counted, and never raises or blocks the caller.
 
-An appended record is written whole or not at all: after a partial write the file is cut back. Of a
-capped file the newest part is kept: at half the cap it is renamed to `NAME.old.SUFFIX`, replacing
-the previous one, and a new file begins. A reader joins the two in this order.
+An appended record is written whole or not at all: a partial write is cut back. At half its cap a
+file becomes `NAME.old.SUFFIX`, replacing the previous one; a reader joins that with the new one.
 
 Of several contents waiting to replace one file only the newest is written, so that a slow disk
 costs history and never memory. A failure is counted, reported once, and retried only with the next.
@@ -166,7 +165,8 @@ def check_writable(path: Path) -> None:
         raise CompanionError(f"{path}: is a folder; give the name of a file")
     if not path.parent.is_dir():
         raise CompanionError(f"{path}: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
+    is_device = str(path.parent) in ("/dev", "/dev/fd") or (path.exists() and not path.is_file())
+    if not os.access(path if is_device else path.parent, os.W_OK):
         raise CompanionError(f"{path}: cannot be written; check its permissions")
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from companion.domain import FlightMode
 from companion.errors import CompanionError
-from companion.io.files import json_line, plain, write_json_atomic
+from companion.io.files import check_writable, json_line, plain, write_json_atomic
 from companion.io.flight_recorder import delete_old_flights, new_flight_directory
 from companion.io.log_files import EventLog
 
@@ -78,6 +78,28 @@ def test_a_failed_replacement_leaves_the_old_file(
         write_json_atomic(path, 2)
     assert path.read_text() == "1\n"
     assert os.listdir(tmp_path) == ["status.json"]
+
+
+def test_a_file_can_be_replaced_where_its_folder_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An old file's own permissions decide nothing: a new one takes its name."""
+    path = tmp_path / "result.json"
+    path.write_text("{}")
+    monkeypatch.setattr("os.access", lambda asked, _: asked != path)
+    check_writable(path)
+    monkeypatch.setattr("os.access", lambda asked, _: asked != tmp_path)
+    with pytest.raises(CompanionError, match="cannot be written; check its permissions"):
+        check_writable(path)
+
+
+@pytest.mark.parametrize("name", ["null", "stdout", "fd/1"])
+def test_a_device_is_written_to_in_a_folder_of_others(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = Path("/dev") / name
+    monkeypatch.setattr("os.access", lambda asked, _: asked == path)
+    check_writable(path)
 
 
 def test_a_flight_is_named_by_its_utc_time(tmp_path: Path) -> None:
