@@ -123,14 +123,6 @@ def kind_of(argument: Any) -> object:
     return _KINDS[kind]
 
 
-def has_compiled_cache() -> bool:
-    """Return True if kernels of these sources are in the cache, so that loading takes a second."""
-    if IS_NATIVE:
-        return True
-    folder = os.environ.get("NUMBA_CACHE_DIR") or (numba.config.CACHE_DIR if numba else "")
-    return bool(folder) and next(Path(folder).rglob("*.nbi"), None) is not None
-
-
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 

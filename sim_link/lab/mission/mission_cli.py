@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+import threading
 import time
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TextIO
 from xml.etree import ElementTree
@@ -19,7 +20,6 @@ from companion.arguments import number_in
 from companion.entry import is_interrupt
 from companion.errors import ConfigError
 from companion.io.files import check_writable, write_text_atomic
-from companion.kernel import IS_COMPILED_ON_CALL, has_compiled_cache
 from sim_link.lab.mission import batch
 from sim_link.lab.mission.conditions import FlightSituation
 from sim_link.lab.mission.results import MissionResult
@@ -273,6 +273,22 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_PASSED if is_fine else EXIT_FAILED
 
 
+EXPLAINED_AFTER_S = 3.0
+"""Real time for which kernels of an earlier run are loaded."""
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    """Explain on standard error why nothing is flown yet, if that lasts."""
+    text = "sim-link: compiling kernels, which takes a minute or more the first time"
+    note = threading.Timer(EXPLAINED_AFTER_S, lambda: print(text, file=sys.stderr, flush=True))
+    note.start()
+    try:
+        yield
+    finally:
+        note.cancel()
+
+
 def _is_flown(
     tasks: Sequence[batch.FlightTask],
     arguments: argparse.Namespace,
@@ -285,9 +301,8 @@ def _is_flown(
         progress.finished(result)
 
     try:
-        if IS_COMPILED_ON_CALL and not has_compiled_cache() and sys.stdout.isatty():
-            print("compiling kernels: half a minute the first time")
-        batch.warm_up(tasks)
+        with _explained():
+            batch.warm_up(tasks)
         with progress.display:
             batch.fly_all(tasks, arguments.jobs, done, progress.moved, arguments.backend)
     except (KeyboardInterrupt, SystemError) as error:

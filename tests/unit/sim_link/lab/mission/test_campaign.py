@@ -242,3 +242,26 @@ def test_an_interrupt_of_several_at_once_keeps_what_is_flown_and_ends_the_rest(
     assert run(short, long, "--jobs", 2, "--junit", junit) == 1
     assert "interrupted after 1 of 2 flights" in capfd.readouterr().err
     assert counts(junit) == ["2", "0", "1"]
+
+
+@pytest.mark.parametrize("is_slow", [True, False])
+def test_kernels_that_are_compiled_for_long_are_explained_at_any_output(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    is_slow: bool,
+) -> None:
+    def warm_up(_: object) -> None:
+        for timer in timers() if is_slow else ():
+            timer.join()
+
+    def timers() -> list[threading.Timer]:
+        return [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
+
+    module = "sim_link.lab.mission.mission_cli"
+    monkeypatch.setattr(f"{module}.EXPLAINED_AFTER_S", 0.0 if is_slow else 3600.0)
+    monkeypatch.setattr(f"{module}.batch.warm_up", warm_up)
+    monkeypatch.setattr(f"{module}.batch.fly_all", lambda *_: None)
+    cli.main(["mission", "run", str(script(tmp_path, "m.yaml"))])
+    assert capsys.readouterr().err.startswith("sim-link: compiling kernels") == is_slow
+    assert not any(timer.is_alive() and not timer.finished.is_set() for timer in timers())
