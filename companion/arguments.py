@@ -59,16 +59,11 @@ examples:
 CALIBRATE = """\
 Find a radio's offset, scale, sign, mount, lag and noise from a recording around an emitter at a
 known position: a turn, a line, a circle and a blocked run. Prints a verdict, and YAML for the
-radio's `settings` and for `estimation.filter`. Exit code 1: something was refused, with the
-reason."""
+radio's `settings` and for `estimation.filter`. Exit code 1: refused, with the reason."""
 
 
 class RaisingParser(argparse.ArgumentParser):
-    """Raises instead of printing as argparse does, so that every error is one line.
-
-    An argument that begins with a minus and a digit is a value, as a southern latitude: no option
-    begins like that.
-    """
+    """Raises instead of printing, so that every error is one line; -35.36 is a value, no option."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -121,6 +116,12 @@ def number_in(
 
 _SPEED = number_in(0.0, MAX_SPEED, is_open=True)
 _LISTENING_S = number_in(0.0, 86_400.0, is_open=True)
+
+
+def _port(text: str) -> str:
+    if text.rpartition(":")[2].isdecimal():
+        return text
+    raise ConfigError(f"--web {text}: give a port, or HOST:PORT, for example 8080")
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -219,7 +220,7 @@ def _add_demo(commands: Commands) -> None:
     _file(demo, "--json", "write the result as JSON")
     _file(demo, "--plot", "picture of the track (default track.png)", default=Path("track.png"))
     text = "serve the live map, with buttons (default port 8080), and open the browser"
-    _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
+    _option(demo, "--web", "[HOST:]PORT", text, nargs="?", const="8080", type=_port)
     _tiles(demo)
     _switch(demo, "--no-browser", "open no browser")
     _switch(demo, "--no-plot", "do not draw the track")
@@ -338,7 +339,7 @@ def _add_replay(commands: Commands) -> None:
     _option(replay, "--speed", "X", text, type=_SPEED)
     text = "show a flight on the live map, at --speed 1 unless given, once a browser has opened it "
     text += "(default port 8080)"
-    _option(replay, "--web", "[HOST:]PORT", text, nargs="?", const="8080")
+    _option(replay, "--web", "[HOST:]PORT", text, nargs="?", const="8080", type=_port)
     _tiles(replay)
     text = "for a walk: standard deviation of its positions per axis, metres (default: its column "
     text += "own_sigma_m, or that of the .json beside it; 3 if not stated)"

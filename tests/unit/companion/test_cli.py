@@ -198,6 +198,16 @@ def test_a_mistyped_word_is_named_with_the_one_that_was_meant(
     assert words in complaint(capsys, *typed.split())
 
 
+@pytest.mark.parametrize("command", ["replay --web flights/a", "demo --web site.yaml"])
+def test_what_follows_the_map_and_is_no_port_is_named(
+    capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    """An option that may stand alone takes the flight that was meant for the command."""
+    what = command.split()[-1]
+    words = f"companion: --web {what}: give a port, or HOST:PORT, for example 8080"
+    assert complaint(capsys, *command.split()) == words
+
+
 @pytest.mark.parametrize(
     "command", ["identify @udp::1", "watch ndjson@udp::1", "record a", "calibrate --beside 1"]
 )
