@@ -20,6 +20,8 @@ LINES_PATTERN = (
 LTE_STEP_M, NR_STEP_M = 78.0709, 39.0355
 NAME = "NAME"
 CELLS = ("srsran_4g", "srsran", "oai")
+ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
+"""A radio of each kind of line that brings its bytes: serial, page, UDP, TCP, program, file."""
 
 
 @dataclass(frozen=True, slots=True)

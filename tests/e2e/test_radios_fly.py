@@ -30,7 +30,7 @@ import yaml
 from companion.domain import Params
 from tests.ports import free_port
 from tests.radio_flights import as_flown, setup_name, setup_of, sigmas
-from tests.radio_formats import ALL, CELLS, FORMAT_OF, Format
+from tests.radio_formats import ALL, CELLS, FORMAT_OF, ONE_OF_EACH_LINE, Format
 
 pytestmark = pytest.mark.slow
 
@@ -44,7 +44,6 @@ FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which each format's error and R95 are appended."""
 POLL_S = 0.03
 """Period of polls: that of new readings at this speed."""
-ONE_OF_EACH_LINE = ("ndjson", "fira_uci", "pdoa_js", "kraken", "lines", "iw_ftm", "android_rtt")
 BY_PAGE = ("kraken", "kraken_suite", "kraken_xml")
 BY_SOCKET = ("kraken_ws",)
 BY_UDP = ("ndjson", "nlink_iot", "makerfabs_at", "lora_forwarder", "uavrt")

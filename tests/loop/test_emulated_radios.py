@@ -32,11 +32,21 @@ from tests.loop.emulated_radio import (
 )
 from tests.loop.loop_helpers import Loop
 from tests.radio_flights import as_flown, setup_name, setup_of, sigmas
-from tests.radio_formats import ALL, CELLS, FORMAT_OF, LTE_STEP_M, NR_STEP_M, Format
+from tests.radio_formats import (
+    ALL,
+    CELLS,
+    FORMAT_OF,
+    LTE_STEP_M,
+    NR_STEP_M,
+    ONE_OF_EACH_LINE,
+    Format,
+)
 
 pytestmark = pytest.mark.slow
 
 SEED = 1
+OFTEN = (*ONE_OF_EACH_LINE, *CELLS, "nlink_aoa", "pans", "ble_scan", "lora_forwarder", "sx1280")
+"""A radio of each line and decoder; the others are more of the same."""
 CELL_SEEDS = range(1, 11)
 FIGURES = os.environ.get("RADIO_FIGURES")
 """A file to which errors, R95s and times are appended, the radio's and RADIO_RANGING's."""
@@ -124,7 +134,12 @@ def flown(name: str, format_: Format, seed: int = SEED) -> Outcome:
 
 
 @pytest.mark.parametrize(
-    "format_", [as_flown(each) for each in ALL], ids=lambda each: str(each.name)
+    "format_",
+    [
+        pytest.param(as_flown(each), marks=[] if each.name in OFTEN else pytest.mark.campaign)
+        for each in ALL
+    ],
+    ids=lambda each: str(each.name),
 )
 def test_every_radio_finds_it_as_radio_ranging_does(format_: Format) -> None:
     setup = setup_name(format_)

@@ -49,9 +49,16 @@ def shift_m(steps: tuple[IncidentRecord, ...]) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flavour", ["px4", "ardupilot"])
+@pytest.mark.parametrize(
+    ("measures", "flavour"),
+    [
+        ("both", "px4"),
+        ("range", "ardupilot"),
+        pytest.param("both", "ardupilot", marks=pytest.mark.campaign),
+        pytest.param("range", "px4", marks=pytest.mark.campaign),
+    ],
+)
 @pytest.mark.parametrize("name", STEPS)
-@pytest.mark.parametrize("measures", ["both", "range"])
 def test_what_was_known_goes_on_to_be_known(
     flavour: Flavour, name: str, measures: Literal["both", "range"]
 ) -> None:

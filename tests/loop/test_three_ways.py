@@ -214,7 +214,9 @@ def decisions(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (1, 2))]
+)
 @pytest.mark.parametrize("planner", ["passive", *FLOWN])
 def test_objects_fly_where_kernels_do(planner: PlannerName, seed: int) -> None:
     system = System("asymmetric_huber", planner)
