@@ -12,8 +12,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from companion.domain import FlightMode, PositionEnu
-from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, SETPOINT_IDS, mavlink
-from sim_link.lab.monitor.independent_checks import FENCE, INWARDS_M, Point
+from companion.mav.dialect import POSITION_AND_YAW, POSITION_ONLY, mavlink
+from sim_link.lab.monitor.independent_checks import FENCE, INWARDS_M, SETPOINTS, Point
 from sim_link.lab.monitor.scene import Invariant, SentSetpoint, TrueScene
 from sim_link.lab.observer import Frame
 from sim_link.world.point_mass import PointMass, approach_velocity
@@ -190,7 +190,7 @@ class InsideFence(SetpointsInside):
 
     def reached(self, frame: Frame) -> None:
         """Handle a frame of the companion that reached the vehicle."""
-        self._reached += frame.number in SETPOINT_IDS and frame.is_readable
+        self._reached += frame.number in SETPOINTS and frame.is_readable
 
     def _watch_others(self, taken: int) -> None:
         """Note the sender of the last setpoint taken; another's counts until some time after.

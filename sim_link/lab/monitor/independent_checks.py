@@ -24,6 +24,14 @@ from sim_link.lab.observer import Frame
 Point = tuple[float, float]
 Corners = Sequence[Point]
 
+SETPOINTS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    }
+)
+"""Messages that guide a vehicle."""
+
 BORDER_M = 4.0
 """Distance from a border within which "here" may be moved inwards by the margin."""
 INWARDS_M = 2.0 * BORDER_M

@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from companion.domain import FlightMode
-from companion.mav.dialect import SETPOINT_IDS, mavlink
+from companion.mav.dialect import mavlink
 from companion.mav.signing import SigningKey
 from sim_link.autopilot.vehicle import SimVehicle
 from sim_link.lab.monitor import authority_invariants, fence_invariants, message_invariants
-from sim_link.lab.monitor.independent_checks import Proof, SenderTrust
+from sim_link.lab.monitor.independent_checks import SETPOINTS, Proof, SenderTrust
 from sim_link.lab.monitor.scene import (
     AUTOPILOT_COMPONENT,
     Invariant,
@@ -261,7 +261,7 @@ class Monitor(FrameMonitor):
         message, setup = frame.message, neighbour.setup
         is_command = isinstance(message, mavlink.MAVLink_command_long_message)
         is_asking = is_command and getattr(message, "command", 0) in authority_invariants.RAISES
-        is_obeyed = is_asking or frame.number in SETPOINT_IDS
+        is_obeyed = is_asking or frame.number in SETPOINTS
         if not is_obeyed or getattr(message, "target_system", 0) not in (0, setup.system_id):
             return
         is_alike = setup.system_id == self.scene.system_id and neighbour.peer == VEHICLE_PEER
